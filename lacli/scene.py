@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import math
 import tomllib
@@ -86,7 +87,7 @@ class Loads(_Frozen):
     def _increasing(cls, value: tuple[tuple[float, float], ...] | None) -> Any:
         if value is not None:
             times = [t for t, _ in value]
-            if len(value) < 2 or any(b <= a for a, b in zip(times, times[1:], strict=False)):
+            if len(value) < 2 or any(b <= a for a, b in itertools.pairwise(times)):
                 raise ValueError("needs at least two [time, pressure] pairs with increasing times in [0, 1]")
             if not all(0 <= t <= 1 and math.isfinite(p) and p >= 0 for t, p in value):
                 raise ValueError("times must lie in [0, 1] (one cycle), pressures be finite and not negative")
