@@ -1,0 +1,131 @@
+"""Curves on a triangle surface: borders between parts, closed loops, shortest paths along edges. Lengths in mm."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse.csgraph import connected_components, dijkstra
+
+from lacli.errors import AnatomyError
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+def edge_table(triangles: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Undirected edges (e, 2) sorted, number of triangles at each (e,), and (t, 3) edges of each triangle (01, 12, 20)."""
+    pairs = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    size = int(triangles.max()) + 1
+    keys, inverse, count = np.unique(pairs[:, 0] * size + pairs[:, 1], return_inverse=True, return_counts=True)
+    return np.column_stack([keys // size, keys % size]), count, inverse.reshape(-1, 3)
+
+
+def edge_graph(points: FloatArray, triangles: IntArray) -> csr_matrix:
+    """Symmetric sparse matrix of edge lengths (mm) between the points."""
+    edges, _, _ = edge_table(triangles)
+    length = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
+    size = len(points)
+    return coo_matrix(
+        (np.tile(length, 2), (np.concatenate([edges[:, 0], edges[:, 1]]), np.concatenate([edges[:, 1], edges[:, 0]]))),
+        shape=(size, size),
+    ).tocsr()
+
+
+def shortest_path(graph: csr_matrix, start: int, goals: IntArray | int) -> IntArray:
+    """Point ids of the shortest edge path from ``start`` to the nearest of ``goals``, both ends included."""
+    distance, before = dijkstra(graph, indices=start, return_predecessors=True)
+    ends = np.atleast_1d(np.asarray(goals, dtype=np.int64))
+    goal = int(ends[np.argmin(distance[ends])])
+    if not np.isfinite(distance[goal]):
+        raise AnatomyError("two landmarks lie on unconnected parts of the surface.")
+    path = [goal]
+    while path[-1] != start:
+        path.append(int(before[path[-1]]))
+    return np.array(path[::-1], dtype=np.int64)
+
+
+def border_edges(triangles: IntArray, inside: BoolArray) -> IntArray:
+    """Edges (e, 2) shared by a triangle of ``inside`` (t,) and one outside it."""
+    edges, _, of = edge_table(triangles)
+    touched_in = np.zeros(len(edges), dtype=bool)
+    touched_out = np.zeros(len(edges), dtype=bool)
+    touched_in[of[inside].ravel()] = True
+    touched_out[of[~inside].ravel()] = True
+    return edges[touched_in & touched_out]
+
+
+def open_edges(triangles: IntArray) -> IntArray:
+    """Edges (e, 2) of one triangle only."""
+    edges, count, _ = edge_table(triangles)
+    return edges[count == 1]
+
+
+def loops(edges: IntArray) -> list[IntArray]:
+    """Closed curves made of ``edges`` (e, 2): ordered point ids, the first not repeated, most points first.
+
+    Where curves touch at a point the walk turns off to any unused edge; open ends are dropped.
+    """
+    neighbours: dict[int, list[int]] = {}
+    for a, b in edges.tolist():
+        neighbours.setdefault(a, []).append(b)
+        neighbours.setdefault(b, []).append(a)
+    found: list[IntArray] = []
+    for seed in list(neighbours):
+        while neighbours.get(seed):
+            walk = [seed]
+            place = {seed: 0}
+            while True:
+                here = walk[-1]
+                if not neighbours[here]:
+                    break
+                there = neighbours[here].pop()
+                neighbours[there].remove(here)
+                if there in place:  # a curve closed: cut it off the walk
+                    start = place[there]
+                    if len(walk) - start >= 3:
+                        found.append(np.array(walk[start:], dtype=np.int64))
+                    for gone in walk[start + 1 :]:
+                        del place[gone]
+                    walk = walk[: start + 1]
+                else:
+                    place[there] = len(walk)
+                    walk.append(there)
+    return sorted(found, key=len, reverse=True)
+
+
+def arc(loop: IntArray, start: int, end: int) -> IntArray:
+    """The points of ``loop`` from the point ``start`` on to the point ``end``, both included, in the loop's direction."""
+    i = int(np.flatnonzero(loop == start)[0])
+    j = int(np.flatnonzero(loop == end)[0])
+    return np.concatenate([loop[i:], loop[: j + 1]]) if j < i else loop[i : j + 1]
+
+
+def arc_parameter(points: FloatArray, path: IntArray) -> FloatArray:
+    """0 .. 1 along a path of point ids, by length."""
+    step = np.linalg.norm(np.diff(points[path], axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(step)])
+    return along / along[-1] if along[-1] > 0 else np.linspace(0.0, 1.0, len(path))
+
+
+def perimeter(points: FloatArray, loop: IntArray) -> float:
+    """Length of a closed loop, mm."""
+    return float(np.linalg.norm(points[loop] - points[np.roll(loop, 1)], axis=1).sum())
+
+
+def triangle_components(triangles: IntArray, keep: BoolArray | None = None) -> tuple[int, IntArray]:
+    """Parts of a surface connected across edges: their number and (t,) the part of each triangle, -1 outside ``keep``."""
+    chosen = np.arange(len(triangles)) if keep is None else np.flatnonzero(keep)
+    label = np.full(len(triangles), -1, dtype=np.int64)
+    if len(chosen) == 0:
+        return 0, label
+    edges, _, of = edge_table(triangles[chosen])
+    count = len(chosen)
+    graph = coo_matrix(
+        (np.ones(3 * count), (np.repeat(np.arange(count), 3), of.ravel() + count)), shape=(count + len(edges), count + len(edges))
+    )
+    _, parts = connected_components(graph, directed=False)
+    names, local = np.unique(parts[:count], return_inverse=True)
+    label[chosen] = local
+    return len(names), label
