@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from lacli.errors import SolverMissingError
-from lacli.mechanics.process import Ended, die_with_parent, disk_is_full, supervise
+from lacli.mechanics.process import Ended, disk_is_full, mortal, supervise
 
 INSTALL = "sudo apt-get install -y freefem++ libfreefem++-dev libopenblas0-pthread g++"
 _logger = logging.getLogger(__name__)
@@ -31,6 +31,7 @@ _CRASHES = {signal.SIGSEGV, signal.SIGABRT, signal.SIGFPE, signal.SIGBUS, signal
 _NO_MEMORY = re.compile(r"bad_alloc|cannot allocate memory|out of memory|not enough memory", re.IGNORECASE)
 _NO_SPACE = re.compile(r"no space left on device|disk quota exceeded", re.IGNORECASE)
 _TELLING = re.compile(r"(?:exec|compile|load|syntax)\s+error\s*:|assertion|error line number", re.IGNORECASE)
+_IDLE = re.compile(r"@ progress|\s*current line|(?:init|close)\s+MUMPS_SEQ")
 
 
 @dataclass(frozen=True)
@@ -288,10 +289,10 @@ def _judge(ended: Ended, said: list[str], timeout_s: float, folder: Path) -> tup
 
 
 def _telling(lines: Sequence[str]) -> str:
-    """The line that names the error, or the last ones."""
-    lines = [line.strip() for line in lines if line.strip() and not line.startswith("@ progress")]
+    """The line that names the error with its neighbours, or the last ones."""
+    lines = [line.strip() for line in lines if line.strip() and not _IDLE.match(line)]
     first = next((i for i, line in enumerate(lines) if _TELLING.search(line)), None)
-    chosen = lines[-3:] if first is None else lines[first : first + 2]
+    chosen = lines[-3:] if first is None else lines[max(0, first - 1) : first + 2]
     return "It said: " + " / ".join(chosen) if chosen else "It said nothing."
 
 
@@ -342,16 +343,14 @@ def _compile(freefem: FreeFem, source: Path, folder: Path, flags: Sequence[str])
     macros = ["-DNDEBUG", "-DBAMG_LONG_LONG", "-DNCHECKPTR"]
     command = [str(freefem.compiler), "-shared", "-fPIC", "-O3", "-std=c++14", "-w", *macros, *flags]
     command += [f"-I{freefem.header_path}", str(source.resolve()), "-o", str(built)]
-    parent = os.getpid()
     answer = subprocess.run(
-        command,
+        **mortal(command),
         cwd=folder,
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
         errors="replace",
         check=False,
-        preexec_fn=lambda: die_with_parent(parent),
     )
     if answer.returncode != 0:
         errors = [line for line in answer.stderr.splitlines() if "error:" in line][:3]

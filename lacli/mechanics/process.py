@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import errno
+import functools
 import os
 import selectors
+import shutil
 import signal
 import subprocess
 import time
@@ -14,6 +16,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 _LIBC = ctypes.CDLL(None, use_errno=True)
 _PR_SET_PDEATHSIG = 1
@@ -40,8 +43,16 @@ class Ended:
     last_lines: tuple[str, ...]
 
 
+def mortal(command: Sequence[str]) -> dict[str, Any]:
+    """Arguments of subprocess.Popen for a child that the kernel kills when the calling thread ends, even by kill -9."""
+    if tool := shutil.which("setpriv"):
+        return {"args": [tool, "--pdeathsig", "KILL", "--", *command]}
+    # code between fork and exec is unsafe beside threads, so only where util-linux is missing
+    return {"args": list(command), "preexec_fn": functools.partial(die_with_parent, os.getpid())}
+
+
 def die_with_parent(parent: int) -> None:
-    """In a child between fork and exec (or at a worker's start): be killed when ``parent`` dies, even by kill -9."""
+    """Ask the kernel to kill this process when its parent, which must be ``parent``, ends."""
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:  # it died before the call above
         os._exit(127)
@@ -62,19 +73,17 @@ def supervise(
     memory runs out, and on any exception here (Ctrl-C included). ``cut`` is then ``timeout``, ``disk_full`` or
     ``out_of_memory``. Raises OSError if the command cannot be started.
     """
-    parent = os.getpid()
-    own_memory_kb = _status_kb(parent, "VmHWM")
+    own_memory_kb = _status_kb(os.getpid(), "VmHWM")
     start = time.monotonic()
     with log.open("ab", buffering=0) as sink:
         child = subprocess.Popen(
-            list(command),
+            **mortal(command),
             cwd=cwd,
             env=dict(env),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             start_new_session=True,
-            preexec_fn=lambda: die_with_parent(parent),
         )
         watch = _Watch(child, sink.write, on_line, cwd, start + timeout_s)
         try:
