@@ -1,0 +1,255 @@
+"""Runs on disk: nothing half-written, one writer per key, keys of content and of nothing else."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lacli import store
+from lacli.errors import AnatomyError, StorageError
+from lacli.scene import Scene, dump_scene, load_scene
+from lacli.store import find_run, list_runs, open_run, replacing, run_key, write_json, write_text
+
+SceneOf = Callable[..., Scene]
+
+
+def visible(root: Path) -> list[str]:
+    return sorted(path.name for path in root.iterdir() if path.name != ".locks")
+
+
+def finished(root: Path, scene: Scene, **how: str) -> store.StoredRun:
+    with open_run(root, scene) as run:
+        assert run.stored is None
+        write_json(run.folder / "features.json", {"edv_ml": 80.5})
+        return run.finish(**how)  # type: ignore[arg-type]
+
+
+def test_key_is_content_not_path(scene_of: SceneOf, tmp_path: Path) -> None:
+    scene = scene_of()
+    key = run_key(scene)
+    moved = tmp_path / "elsewhere"
+    scene.anatomy.bundle.rename(moved)
+    assert run_key(scene.model_copy(update={"anatomy": scene.anatomy.model_copy(update={"bundle": moved})})) == key
+    assert len(key) == 16
+
+
+def test_key_changes_with_scene_bundle_motion_and_solver(
+    scene_of: SceneOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = scene_of()
+    keys = [run_key(scene), run_key(scene_of("loads.edp_mmhg=7.5"))]
+    bundle = scene.anatomy.bundle
+    (bundle / "wall.vtu").write_bytes(b"another wall")
+    keys.append(run_key(scene))
+    np.savez(bundle / "motion.npz", times=np.arange(3.0))
+    keys.append(run_key(scene))
+    np.savez(bundle / "motion.npz", times=np.arange(3.0) + 1e-12)
+    keys.append(run_key(scene))
+    monkeypatch.setattr(store, "solver_digest", lambda: "other")
+    keys.append(run_key(scene))
+    assert len(set(keys)) == len(keys)
+
+
+def test_motion_counts_by_its_arrays_and_is_never_unpickled(scene_of: SceneOf) -> None:
+    scene = scene_of()
+    motion = scene.anatomy.bundle / "motion.npz"
+    np.savez(motion, a=np.arange(4.0), b=np.ones((2, 2)))
+    key = run_key(scene)
+    np.savez_compressed(motion, b=np.ones((2, 2)), a=np.arange(4.0))
+    assert run_key(scene) == key
+    np.savez(motion, a=np.array([{"an": "object"}], dtype=object))
+    with pytest.raises(AnatomyError, match=r"motion\.npz: cannot be read"):
+        run_key(scene)
+
+
+def test_missing_bundle_is_named(scene_of: SceneOf) -> None:
+    scene = scene_of()
+    (scene.anatomy.bundle / "boundary.vtp").unlink()
+    with pytest.raises(AnatomyError, match=r"boundary\.vtp is missing"):
+        run_key(scene)
+
+
+def test_finished_run_is_found_and_not_run_again(scene_of: SceneOf, tmp_path: Path) -> None:
+    scene, root = scene_of(), tmp_path / "runs"
+    stored = finished(root, scene)
+    assert visible(root) == [run_key(scene)]
+    assert sorted(stored.manifest["products"]) == ["features.json", "scene.toml"]
+    assert stored.manifest["versions"]["lacli"]
+    assert stored.features() == {"edv_ml": 80.5}
+    with open_run(root, scene) as again:
+        assert again.stored == stored
+    assert list_runs(root) == [stored]
+    assert not any((root / ".locks").iterdir())
+
+
+def test_run_without_its_products_is_not_complete(scene_of: SceneOf, tmp_path: Path) -> None:
+    scene, root = scene_of(), tmp_path / "runs"
+    stored = finished(root, scene)
+    (stored.folder / "features.json").write_text("{")  # cut short
+    assert find_run(root, stored.key) is None
+    finished(root, scene)
+    assert find_run(root, stored.key) is not None
+    assert visible(root) == [stored.key]
+
+
+def test_promised_product_must_exist(scene_of: SceneOf, tmp_path: Path) -> None:
+    with pytest.raises(StorageError, match=r"transients\.csv was not written"), open_run(tmp_path, scene_of()) as run:
+        run.finish(products=["transients.csv"])
+
+
+def test_failed_run_stays_and_counts(scene_of: SceneOf, tmp_path: Path) -> None:
+    scene, root = scene_of(), tmp_path / "runs"
+    with open_run(root, scene) as run:
+        (run.folder / "state_0007.txt").write_text("last good state")
+        run.finish("failed", kind="load_step_underflow", message="at load 0.7")
+    with open_run(root, scene) as again:
+        assert again.stored is not None
+        assert (again.stored.status, again.stored.kind) == ("failed", "load_step_underflow")
+        assert (again.stored.folder / "state_0007.txt").is_file()
+    with open_run(root, scene, retry_failed=True) as retry:
+        assert retry.stored is None
+        retry.finish()
+    assert [run.status for run in list_runs(root)] == ["done"]
+
+
+@pytest.mark.parametrize("kind", sorted(store.TRANSIENT_KINDS))
+def test_failures_of_the_machine_run_again(scene_of: SceneOf, tmp_path: Path, kind: str) -> None:
+    root, scene = tmp_path / "runs", scene_of()
+    with open_run(root, scene) as run:
+        run.finish("failed", kind=kind)
+    assert [stored.kind for stored in list_runs(root)] == [kind]
+    finished(root, scene)
+    assert [stored.status for stored in list_runs(root)] == ["done"]
+
+
+def test_a_status_needs_its_kind(scene_of: SceneOf, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="failed with a kind"), open_run(tmp_path, scene_of()) as run:
+        run.finish("failed")
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError])
+def test_interruption_leaves_nothing(scene_of: SceneOf, tmp_path: Path, error: type[BaseException]) -> None:
+    root = tmp_path / "runs"
+    with pytest.raises(error), open_run(root, scene_of()) as run:
+        (run.folder / "half.txt").write_text("half")
+        raise error
+    assert visible(root) == []
+
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from lacli.scene import load_scene
+from lacli.store import open_run
+with open_run(Path(sys.argv[1]), load_scene(Path(sys.argv[2]))) as run:
+    print("stored" if run.stored else "open", flush=True)
+    if run.stored is None:
+        time.sleep(float(sys.argv[3]))
+        (run.folder / "features.json").write_text('{"writer": "' + sys.argv[4] + '"}')
+        run.finish()
+print(run.stored.features()["writer"], flush=True)
+"""
+
+
+def holder(root: Path, scene_file: Path, seconds: float, name: str) -> subprocess.Popen[str]:
+    return subprocess.Popen([sys.executable, "-c", HOLD, root, scene_file, str(seconds), name], stdout=subprocess.PIPE, text=True)
+
+
+@pytest.fixture
+def scene_file(scene_of: SceneOf, tmp_path: Path) -> Path:
+    file = tmp_path / "scene.toml"
+    file.write_text(dump_scene(scene_of()))
+    return file
+
+
+def test_two_processes_one_key_one_run(scene_file: Path, tmp_path: Path) -> None:
+    root = tmp_path / "runs"
+    with holder(root, scene_file, 0.8, "first") as first:
+        assert first.stdout is not None
+        assert first.stdout.readline() == "open\n"
+        with holder(root, scene_file, 0, "second") as second:
+            said, _ = second.communicate(timeout=30)
+        rest = first.stdout.read()
+    assert said.split() == ["stored", "first"]
+    assert rest == "first\n"
+    assert len(visible(root)) == 1
+
+
+def test_kill_9_leaves_a_run_that_starts_again(scene_file: Path, tmp_path: Path) -> None:
+    root = tmp_path / "runs"
+    with holder(root, scene_file, 60, "killed") as lacli:
+        assert lacli.stdout is not None
+        assert lacli.stdout.readline() == "open\n"
+        lacli.send_signal(signal.SIGKILL)
+    assert visible(root)[0].startswith(".tmp-")
+    assert list_runs(root) == []
+    scene = load_scene(scene_file)
+    # another key's run sweeps the dead one's leftovers
+    finished(root, load_scene(scene_file, ["loads.edp_mmhg=1"]))
+    assert len(visible(root)) == 1
+    finished(root, scene)
+    assert len(list_runs(root)) == 2
+
+
+def test_a_running_neighbour_is_not_swept(scene_file: Path, tmp_path: Path) -> None:
+    root = tmp_path / "runs"
+    with holder(root, scene_file, 0.8, "neighbour") as lacli:
+        assert lacli.stdout is not None
+        assert lacli.stdout.readline() == "open\n"
+        finished(root, load_scene(scene_file, ["loads.edp_mmhg=1"]))
+        assert lacli.stdout.read() == "neighbour\n"
+    assert len(list_runs(root)) == 2
+
+
+def test_full_disk_is_one_message_and_leaves_nothing_half(scene_of: SceneOf, small_disk: Path) -> None:
+    root = small_disk / "runs"
+    scene = scene_of()
+    kept = finished(root, scene_of("loads.edp_mmhg=1"))
+    with pytest.raises(StorageError, match="the disk is full"), open_run(root, scene) as run:
+        (run.folder / "fields.bin").write_bytes(os.urandom(1 << 18))
+    assert visible(root) == [kept.key]
+    assert find_run(root, kept.key) == kept
+    with pytest.raises(StorageError, match="the disk is full"):
+        write_text(small_disk / "table.csv", "x" * (1 << 18))
+    assert [path.name for path in small_disk.iterdir()] == ["runs"]
+
+
+def test_place_that_cannot_be_written(scene_of: SceneOf, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError, match="in the way"), open_run(tmp_path / "file", scene_of()):
+        pass
+
+
+def test_atomic_text_keeps_the_old_one_on_error(tmp_path: Path) -> None:
+    file = tmp_path / "a" / "table.csv"
+    write_text(file, "old")
+    with pytest.raises(ZeroDivisionError), replacing(file) as temporary:
+        assert temporary.suffix == ".csv"
+        temporary.write_text("new")
+        raise ZeroDivisionError
+    assert file.read_text() == "old"
+    with pytest.raises(ValueError, match="JSON"):
+        write_json(file, {"a": float("nan")})
+    assert [path.name for path in file.parent.iterdir()] == ["table.csv"]
+    write_json(file, {"a": np.float64(1.5), "b": np.arange(2), "c": tmp_path})
+    assert json.loads(file.read_text()) == {"a": 1.5, "b": [0, 1], "c": str(tmp_path)}
+    assert file.stat().st_mode & 0o777 == 0o666 & ~store._umask()
+
+
+def test_times_are_recorded(scene_of: SceneOf, tmp_path: Path) -> None:
+    with open_run(tmp_path / "runs", scene_of()) as run:
+        time.sleep(0.05)
+        stored = run.finish(cpu_s=1.5, seeds={"sobol": 3}, versions={"freefem": "4.9"})
+    assert 0.05 <= stored.manifest["wall_s"] < 5
+    assert stored.manifest["cpu_s"] == 1.5
+    assert stored.manifest["seeds"] == {"sobol": 3}
+    assert {"lacli", "python", "numpy", "freefem"} <= set(stored.manifest["versions"])
