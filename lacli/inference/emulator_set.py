@@ -1,0 +1,257 @@
+"""All outputs' emulators at once: batched mean and variance, stored in one file without pickle."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.blas import dtrmm
+
+from lacli.errors import InputError
+from lacli.inference import gp
+from lacli.inference.emulator import Emulator
+from lacli.inference.threads import one_thread
+
+FloatArray = NDArray[np.float64]
+
+FORMAT = 1
+# rows of a block: the block of kernel values of one output stays in the second-level cache
+_BLOCK = 512
+# up to this many points one batched product over all outputs beats a loop over them
+_BATCH = 160
+
+
+@dataclass(frozen=True)
+class _Stack:
+    """Arrays for prediction. Features phi = (1, t, t^2), t = inputs on the linear and the logarithmic scale in [-1, 1].
+
+    exponent (p, f, n): phi @ exponent = log of the kernel's correlation with each run; linear (p, f, 1 + q): the mean's
+    and its uncertainty's part linear in phi; weights (p, n, 1 + q): their part linear in the correlations;
+    roots (p, n, n): transposed inverse Cholesky factors times s2; prior (p,): s2 + nugget; moments (p,) for the output.
+    """
+
+    low: FloatArray
+    high: FloatArray
+    exponent: FloatArray
+    linear: FloatArray
+    weights: FloatArray
+    roots: FloatArray
+    prior: FloatArray
+    shift: FloatArray
+    scale: FloatArray
+    inflation: FloatArray
+    log_output: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class EmulatorSet:
+    """Emulators (p) of the outputs of one simulator with d inputs."""
+
+    inputs: tuple[str, ...]
+    emulators: tuple[Emulator, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_stack", _stack(self.emulators))
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the outputs."""
+        return tuple(e.output for e in self.emulators)
+
+    @property
+    def runs(self) -> int:
+        """Number of training runs."""
+        return len(self.emulators[0].process.y)
+
+    def range(self) -> tuple[FloatArray, FloatArray]:
+        """Lowest and highest training inputs (d,), in their units."""
+        e = self.emulators[0]
+        lift = [np.where(e.log_inputs, np.exp(np.where(e.log_inputs, v, 0.0)), v) for v in (e.low, e.high)]
+        return lift[0], lift[1]
+
+    def select(self, outputs: Sequence[str]) -> EmulatorSet:
+        """The emulators of the named outputs, in that order."""
+        return EmulatorSet(self.inputs, tuple(self.emulators[self.outputs.index(name)] for name in outputs))
+
+    def predict(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean (m, p) and variance (m, p) of the outputs at x (m, d), in the outputs' units and their squares."""
+        return self._evaluate(x, True)
+
+    def predict_mean(self, x: FloatArray) -> FloatArray:
+        """Mean (m, p) alone, at a fraction of the cost; of a logarithmic output, the median (no variance is computed)."""
+        return self._evaluate(x, False)[0]
+
+    def predict_one(self, j: int, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean (m,) and variance (m,) of output number j at x (m, d)."""
+        s: _Stack = self._stack  # type: ignore[attr-defined]
+        mean, variance = np.empty((1, len(x))), np.empty((1, len(x)))
+        _blocks(s, [j], _features(s, x), mean, variance)
+        _to_outputs(s, [j], mean, variance)
+        return mean[0], variance[0]
+
+    def _evaluate(self, x: FloatArray, with_variance: bool) -> tuple[FloatArray, FloatArray]:
+        s: _Stack = self._stack  # type: ignore[attr-defined]
+        x = np.asarray(x, float)
+        m, p = len(x), len(self.emulators)
+        phi = _features(s, x)
+        mean, variance = np.empty((p, m)), np.zeros((p, m))
+        if m <= _BATCH:
+            k = np.matmul(phi, s.exponent)
+            np.exp(k, out=k)
+            if with_variance:
+                t = np.matmul(k, s.weights)
+                t += np.matmul(phi, s.linear)
+                mean[:] = t[:, :, 0]
+                v = np.matmul(k, s.roots)
+                np.einsum("pmn,pmn->pm", v, v, out=variance)
+                w = t[:, :, 1:]
+                np.subtract(np.einsum("pmq,pmq->pm", w, w), variance, out=variance)
+                variance += s.prior[:, None]
+            else:
+                mean[:] = np.matmul(k, s.weights[:, :, :1])[:, :, 0] + np.matmul(phi, s.linear[:, :, :1])[:, :, 0]
+        else:
+            _blocks(s, list(range(p)), phi, mean, variance if with_variance else None)
+        _to_outputs(s, list(range(p)), mean, variance)
+        return mean.T, variance.T
+
+
+def _features(s: _Stack, x: FloatArray) -> FloatArray:
+    d = x.shape[1]
+    logs = len(s.low) - d
+    phi = np.empty((len(x), 1 + 2 * len(s.low)))
+    phi[:, 0] = 1.0
+    t = phi[:, 1 : 1 + d + logs]
+    t[:, :d] = x
+    if logs:
+        np.log(x, out=t[:, d:])
+    t -= s.low
+    t *= 2.0 / (s.high - s.low)
+    t -= 1.0
+    np.square(t, out=phi[:, 1 + d + logs :])
+    return phi
+
+
+def _blocks(s: _Stack, which: list[int], phi: FloatArray, mean: FloatArray, variance: FloatArray | None) -> None:
+    """Fill mean and variance (len(which), m) output by output, in blocks of points that fit in cache."""
+    n = s.exponent.shape[2]
+    buffer = np.empty((_BLOCK, n))
+    for begin in range(0, len(phi), _BLOCK):
+        f = phi[begin : begin + _BLOCK]
+        k = buffer[: len(f)]
+        rows = slice(begin, begin + len(f))
+        for i, j in enumerate(which):
+            np.dot(f, s.exponent[j], out=k)
+            np.exp(k, out=k)
+            if variance is None:
+                mean[i, rows] = k @ s.weights[j, :, 0] + f @ s.linear[j, :, 0]
+                continue
+            t = k @ s.weights[j]
+            t += f @ s.linear[j]
+            mean[i, rows] = t[:, 0]
+            w = t[:, 1:]
+            # k' in Fortran order shares k's memory: the triangular product happens in place, half a full one's cost
+            dtrmm(1.0, s.roots[j].T, k.T, lower=1, overwrite_b=1)
+            variance[i, rows] = s.prior[j] - np.einsum("ij,ij->i", k, k) + np.einsum("ij,ij->i", w, w)
+
+
+def _to_outputs(s: _Stack, which: list[int], mean: FloatArray, variance: FloatArray) -> None:
+    """The processes' moments -> the outputs', in place."""
+    # rounding may leave a variance a hair under the nugget's; it cannot be less than a part of the prior's
+    np.maximum(variance, 1e-12 * s.prior[which, None], out=variance)
+    mean *= s.scale[which, None]
+    mean += s.shift[which, None]
+    variance *= (s.inflation * s.scale**2)[which, None]
+    for i, j in enumerate(which):
+        if s.log_output[j]:
+            mean[i] = np.exp(mean[i] + 0.5 * variance[i])
+            variance[i] = np.expm1(variance[i]) * mean[i] ** 2
+
+
+def _stack(emulators: Sequence[Emulator]) -> _Stack:
+    first = emulators[0]
+    d, n = len(first.low), len(first.process.y)
+    any_log = any(e.log_inputs.any() for e in emulators)
+    # the reference scale: a range that every emulator shares in value, on the linear and (if used) logarithmic scale
+    x_low = np.where(first.log_inputs, np.exp(np.where(first.log_inputs, first.low, 0.0)), first.low)
+    x_high = np.where(first.log_inputs, np.exp(np.where(first.log_inputs, first.high, 0.0)), first.high)
+    low, high = x_low, x_high
+    if any_log:
+        positive = x_low > 0
+        low = np.r_[x_low, np.where(positive, np.log(np.where(positive, x_low, 1.0)), 0.0)]
+        high = np.r_[x_high, np.where(positive, np.log(np.where(positive, x_high, 1.0)), 1.0)]
+    f = len(low)
+    exponent, linear, weights, roots = [], [], [], []
+    for e in emulators:
+        g = e.process
+        column = np.arange(d) + np.where(e.log_inputs, d, 0)  # the feature that carries input j
+        # u = a t + b, with t the reference coordinate
+        a = (high - low)[column] / (e.high - e.low)
+        b = 2.0 * (low[column] - e.low) / (e.high - e.low) + a - 1.0
+        inverse = 1.0 / g.lengths**2
+        shifted = g.u - b
+        w = np.zeros((1 + 2 * f, n))
+        w[0] = -0.5 * (shifted**2 * inverse).sum(1)
+        w[1 + column] = (shifted * (a * inverse)).T
+        w[1 + f + column] = (-0.5 * a**2 * inverse)[:, None]
+        to_h = np.zeros((1 + 2 * f, 1 + d))
+        to_h[0, 0] = 1.0
+        to_h[0, 1:] = b
+        to_h[1 + column, 1 + np.arange(d)] = a
+        exponent.append(w)
+        linear.append(np.hstack([(to_h @ g.beta)[:, None], to_h @ g.c.T]))
+        weights.append(g.s2 * np.hstack([g.alpha[:, None], -(g.c @ g.g).T]))
+        roots.append(np.ascontiguousarray(g.s2 * g.inverse_factor.T))
+    return _Stack(
+        low=low, high=high, exponent=np.array(exponent), linear=np.array(linear), weights=np.array(weights),
+        roots=np.array(roots), prior=np.array([e.process.s2 + e.process.nugget for e in emulators]),
+        shift=np.array([e.shift for e in emulators]), scale=np.array([e.scale for e in emulators]),
+        inflation=np.array([e.inflation for e in emulators]), log_output=np.array([e.log_output for e in emulators]),
+    )  # fmt: skip
+
+
+def save_emulators(path: Path, emulators: EmulatorSet) -> None:
+    """Write the emulators to an .npz file (numbers and names only); the file appears whole or not at all."""
+    path = Path(path)
+    arrays: dict[str, NDArray] = {
+        "format": np.array(FORMAT), "inputs": np.array(emulators.inputs), "outputs": np.array(emulators.outputs),
+    }  # fmt: skip
+    for i, e in enumerate(emulators.emulators):
+        arrays |= {
+            f"{i}_log_inputs": e.log_inputs, f"{i}_low": e.low, f"{i}_high": e.high,
+            f"{i}_scales": np.array([e.log_output, e.shift, e.scale, e.inflation, e.process.objective], float),
+            f"{i}_theta": e.process.theta, f"{i}_u": e.process.u, f"{i}_y": e.process.y, f"{i}_noise": e.process.noise,
+        }  # fmt: skip
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(path.name + ".part")
+    with temporary.open("wb") as stream:
+        np.savez_compressed(stream, **arrays)
+    os.replace(temporary, path)
+
+
+def load_emulators(path: Path) -> EmulatorSet:
+    """Read what ``save_emulators`` wrote. Raises InputError if the file is missing, damaged or of another kind."""
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such emulator file. Make it with `lacli emulate`.")
+    try:
+        with np.load(path, allow_pickle=False) as a, one_thread():
+            if int(a["format"]) != FORMAT:
+                raise InputError(f"{path}: written in format {int(a['format'])}, this program reads {FORMAT}. Run `lacli emulate` again.")
+            emulators = []
+            for i, output in enumerate(a["outputs"]):
+                log_output, shift, scale, inflation, objective = (float(v) for v in a[f"{i}_scales"])
+                process = gp.condition(a[f"{i}_theta"], a[f"{i}_u"], a[f"{i}_y"], a[f"{i}_noise"], objective)
+                emulators.append(
+                    Emulator(
+                        str(output), a[f"{i}_log_inputs"], a[f"{i}_low"], a[f"{i}_high"], bool(log_output), shift, scale,
+                        inflation, process,
+                    )
+                )  # fmt: skip
+            return EmulatorSet(tuple(str(name) for name in a["inputs"]), tuple(emulators))
+    except (KeyError, ValueError, OSError, zipfile.BadZipFile, np.linalg.LinAlgError) as error:
+        raise InputError(f"{path}: not an emulator file, or a damaged one ({error}). Run `lacli emulate` again.") from error
