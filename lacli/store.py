@@ -182,7 +182,9 @@ def solver_digest() -> str:
     total = hashlib.sha256()
     for name in ("templates", "solvers"):
         root = resource_folder(name)
-        for file in sorted(path for path in root.rglob("*") if path.is_file() and path.suffix in (".j2", ".edp", ".idp", ".cpp")):
+        for file in sorted(
+            path for path in root.rglob("*") if path.is_file() and path.suffix in (".j2", ".edp", ".idp", ".cpp", ".hpp")
+        ):
             total.update(f"\0{name}/{file.relative_to(root)}\0".encode())
             total.update(file.read_bytes())
     return total.hexdigest()

@@ -23,7 +23,7 @@ from pathlib import Path
 from lacli.errors import SolverMissingError
 from lacli.mechanics.process import Ended, disk_is_full, mortal, supervise
 
-INSTALL = "sudo apt-get install -y freefem++ libfreefem++-dev libopenblas0-pthread g++"
+INSTALL = "sudo apt-get install -y freefem++ libfreefem++-dev libmumps-seq-dev libopenblas0-pthread g++"
 _logger = logging.getLogger(__name__)
 _BINARIES = ("FreeFem++", "FreeFem++-nw", "freefem++")
 _ROOTS = ("/usr", "/usr/local", "/opt/freefem", "/opt/FreeFem", "/usr/local/FreeFem", "/opt/ff++")
@@ -218,8 +218,17 @@ def _try_script(freefem: FreeFem, text: str) -> str:
 
 
 def can_load(freefem: FreeFem, plugin: str) -> bool:
-    """Whether the plugin ``plugin`` (``MUMPS_seq``, or a path) loads."""
-    return "@ loaded" in _try_script(freefem, f'load "{plugin}"\ncout << "@ loaded" << endl;').splitlines()
+    """Whether the plugin ``plugin`` (``MUMPS_seq``, or a path without .so) loads."""
+    return load_obstacle(freefem, plugin) is None
+
+
+def load_obstacle(freefem: FreeFem, plugin: str) -> str | None:
+    """Why a plugin does not load, None if it does."""
+    lines = _try_script(freefem, f'load "{plugin}"\ncout << "@ loaded" << endl;').splitlines()
+    if "@ loaded" in lines:
+        return None
+    cause = [line.split("dlerror :", 1)[1].strip() for line in lines if "dlerror :" in line]
+    return cause[0] if cause else _telling(lines)
 
 
 def run(
@@ -312,14 +321,23 @@ def default_cache() -> Path:
 
 
 def build_plugin(freefem: FreeFem, source: Path, cache_folder: Path | None = None, flags: Sequence[str] = ()) -> Path | None:
+    """As ``compile_plugin``, but None, with the reason logged, when the plugin cannot be had."""
+    try:
+        return compile_plugin(freefem, source, cache_folder, flags)
+    except SolverMissingError as error:
+        _logger.warning("%s", error)
+        return None
+
+
+def compile_plugin(freefem: FreeFem, source: Path, cache_folder: Path | None = None, flags: Sequence[str] = ()) -> Path:
     """Compile a FreeFEM plugin once per source, FreeFEM and compiler; later calls return the kept one.
 
-    It is built in a temporary folder, tried, and moved into place, so several processes may ask at once. Returns None,
-    and logs why, when it cannot be built or does not load.
+    The source's own folder is part of the source (headers beside it); a line ``// link: -lname ...`` in it names
+    libraries to link, ``flags`` are for the compiler. It is built in a temporary folder, tried, and moved into place,
+    so several processes may ask at once. Raises SolverMissingError when it cannot be built or does not load.
     """
     if obstacle := plugin_obstacle(freefem):
-        _logger.warning("%s is not compiled: %s", source.name, obstacle)
-        return None
+        raise SolverMissingError(f"{source.name} is not compiled: {obstacle}")
     cache = (cache_folder or default_cache()).resolve()
     target = cache / _plugin_key(freefem, source, flags) / f"{source.stem}.so"
     if target.is_file():
@@ -327,22 +345,18 @@ def build_plugin(freefem: FreeFem, source: Path, cache_folder: Path | None = Non
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".build-", dir=cache) as folder:
-            built = _compile(freefem, source, Path(folder), flags)
-            if built is None:
-                return None
-            built.replace(target)
+            _compile(freefem, source, Path(folder), flags).replace(target)
     except OSError as error:
-        _logger.warning("%s is not compiled: %s", source.name, error)
-        return None
+        raise SolverMissingError(f"{source.name} is not compiled: {error}") from error
     return target
 
 
-def _compile(freefem: FreeFem, source: Path, folder: Path, flags: Sequence[str]) -> Path | None:
+def _compile(freefem: FreeFem, source: Path, folder: Path, flags: Sequence[str]) -> Path:
     built = folder / f"{source.stem}.so"
     # what ff-c++ runs, in one step: these macros must be those FreeFEM itself was compiled with
     macros = ["-DNDEBUG", "-DBAMG_LONG_LONG", "-DNCHECKPTR"]
     command = [str(freefem.compiler), "-shared", "-fPIC", "-O3", "-std=c++14", "-w", *macros, *flags]
-    command += [f"-I{freefem.header_path}", str(source.resolve()), "-o", str(built)]
+    command += [f"-I{freefem.header_path}", str(source.resolve()), "-o", str(built), *_libraries(source)]
     answer = subprocess.run(
         **mortal(command),
         cwd=folder,
@@ -353,18 +367,22 @@ def _compile(freefem: FreeFem, source: Path, folder: Path, flags: Sequence[str])
         check=False,
     )
     if answer.returncode != 0:
-        errors = [line for line in answer.stderr.splitlines() if "error:" in line][:3]
-        _logger.warning("%s does not compile: %s", source.name, " / ".join(errors) or answer.stderr[-400:])
-        return None
-    if not can_load(freefem, str(built.with_suffix(""))):
-        _logger.warning("%s compiles, but FreeFEM does not load it.", source.name)
-        return None
+        errors = [line for line in answer.stderr.splitlines() if "error:" in line or "cannot find" in line][:3]
+        raise SolverMissingError(f"{source.name} does not compile: {' / '.join(errors) or answer.stderr[-400:]}")
+    if reason := load_obstacle(freefem, str(built.with_suffix(""))):
+        raise SolverMissingError(f"{source.name} compiles, but FreeFEM does not load it: {reason}")
     return built
+
+
+def _libraries(source: Path) -> list[str]:
+    found = re.search(r"^// link:(.*)$", source.read_text(encoding="utf-8"), re.MULTILINE)
+    return found[1].split() if found else []
 
 
 def _plugin_key(freefem: FreeFem, source: Path, flags: Sequence[str]) -> str:
     compiler = subprocess.run([str(freefem.compiler), "-dumpfullversion"], capture_output=True, text=True, check=False).stdout
     state = freefem.binary.resolve().stat()
-    parts = [source.read_text(encoding="utf-8"), freefem.version, str(state.st_size), str(state.st_mtime_ns)]
-    parts += [str(freefem.compiler), compiler.strip(), *flags]
+    texts = [source, *sorted(path for path in source.parent.iterdir() if path.suffix in (".hpp", ".h"))]
+    parts = [path.read_text(encoding="utf-8") for path in texts]
+    parts += [freefem.version, str(state.st_size), str(state.st_mtime_ns), str(freefem.compiler), compiler.strip(), *flags]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
