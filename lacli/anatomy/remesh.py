@@ -155,6 +155,9 @@ def _project(mesh: _Mesh, ids: IntArray, reference: Reference) -> None:
 
 def _split(mesh: _Mesh, reference: Reference, asked) -> None:  # type: ignore[no-untyped-def]
     """Halve edges longer than 4/3 of the asked length."""
+    vector = _normal(mesh.points[mesh.triangles])
+    expected = (np.linalg.norm(vector, axis=1) / mesh.size[mesh.triangles].mean(axis=1) ** 2).sum() / 0.87
+    limit = len(mesh.triangles) + 6 * expected + 2000
     for _ in range(12):
         mesh.refresh()
         long = mesh.length > 4.0 / 3.0 * mesh.wanted
@@ -168,12 +171,18 @@ def _split(mesh: _Mesh, reference: Reference, asked) -> None:  # type: ignore[no
         n = len(mesh.points)
         new = np.full(len(mesh.edges), -1)
         new[marked] = n + np.arange(int(marked.sum()))
+        halved = mesh.length[marked]
         middle = mesh.points[mesh.edges[marked]].mean(axis=1)
         mesh.points = np.vstack([mesh.points, middle])
         mesh.triangles, mesh.label = split_at(mesh.triangles, mesh.label, new[mesh.of_triangle])
         mesh.size = np.append(mesh.size, asked(middle))
         mesh.refresh()
         _project(mesh, np.arange(n, len(mesh.points)), reference)
+        # where the surface turns sharply between the ends its closest point may be an end: keep the middle then
+        aside = np.linalg.norm(mesh.points[n:] - middle, axis=1) > 0.3 * halved
+        mesh.points[n:][aside] = middle[aside]
+        if len(mesh.triangles) > limit:
+            raise AnatomyError("Remeshing does not settle: the surface is too rough for this cell size. Smooth it, or ask for smaller cells.")
 
 
 def split_at(triangles: IntArray, label: IntArray, middle: IntArray) -> tuple[IntArray, IntArray]:
@@ -278,6 +287,10 @@ def _apply_collapse(mesh: _Mesh, chosen: IntArray, reference: Reference, asked) 
     bad |= longest > np.maximum(1.4 * mesh.size[mesh.triangles[ring]].mean(axis=1), before.max(axis=1) * 1.02)
     refused = np.zeros(len(chosen), dtype=bool)
     refused[edge_of[ring][bad]] = True
+    # two collapses may share an opposite point, and each takes one neighbour from it
+    opposite = mesh.opposite[chosen]
+    left = mesh.valence - np.bincount(opposite[~refused].ravel(), minlength=len(mesh.points))
+    refused |= (left[opposite] < 3).any(axis=1)
     ok = ~refused
     if not ok.any():
         return 0
@@ -310,7 +323,7 @@ def _folds(old: FloatArray, new: FloatArray) -> np.ndarray:
         np.linalg.norm(n_old, axis=1) * np.linalg.norm(n_new, axis=1), 1e-30
     )
     q_old, q_new = _quality(old), _quality(new)
-    return ((cosine < 0.6) & (q_old > 0.02)) | ((q_new < 0.1) & (q_new < q_old))
+    return ((cosine < 0.6) & (q_old > 0.15)) | ((q_new < 0.1) & (q_new < q_old))
 
 
 def _flip(mesh: _Mesh, by_angle: bool) -> None:

@@ -12,10 +12,10 @@ from scipy.spatial import cKDTree
 
 from lacli.anatomy import laplace
 from lacli.anatomy.bundle import ENDO, EPI, OPENINGS, OTHER, PLANES, RINGS, Bundle
-from lacli.anatomy.caps import Plate, extrude_plate, rim_loops
+from lacli.anatomy.caps import Plate, extrude_plate, rim_loops, triangulate_loop
 from lacli.anatomy.cells import boundary_faces, elevate, row_keys, volumes
-from lacli.anatomy.frame import frame_from_openings, height, sectors, sweep, two_layer_fibres
-from lacli.anatomy.surface import FloatArray, IntArray, Surface, compact
+from lacli.anatomy.frame import frame_from_openings, height, sectors, sweep, two_layer_fibres, unit
+from lacli.anatomy.surface import FloatArray, IntArray, Surface, check, compact, unique_edges
 from lacli.errors import AnatomyError
 
 # opening -> words that all occur in its cap's name
@@ -31,12 +31,12 @@ CAP_WORDS: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class TaggedMesh:
-    """points (n, 3) mm; tets (m, 4); endo (t, 3) point ids; caps: opening -> rim points (k, 3) mm; cavity: closed surface."""
+    """points (n, 3) mm; tets (m, 4); endo (t, 3) point ids; rims: opening -> rim (k,) of point ids; cavity: closed surface."""
 
     points: FloatArray
     tets: IntArray
     endo: IntArray
-    caps: dict[str, FloatArray]
+    rims: dict[str, IntArray]
     cavity: Surface
 
 
@@ -104,20 +104,77 @@ def read_mesh(tets_file: Path, surfaces_file: Path, names_json: Path, chamber: s
     endo = nearest[named((f"{chamber} endocardium",), exact=True)]
     if distance[np.unique(named((f"{chamber} endocardium",), exact=True))].max() > 1e-3:
         raise AnatomyError(f"{surfaces_file}: the endocardium's points are not points of {tets_file.name}; the files do not fit.")
-    cavity_faces = named((f"{chamber} cavity",), exact=True)
-    caps = {}
-    label = np.zeros(len(cavity_faces), dtype=np.int64)
-    size = len(surface_points)
-    _, weld = cKDTree(surface_points).query(surface_points, distance_upper_bound=1e-3)
-    cavity_keys = row_keys(weld[cavity_faces], size)
-    for opening in OPENINGS:
-        cap = named(CAP_WORDS[opening])
-        caps[opening] = surface_points[np.unique(cap)]
-        label[np.isin(cavity_keys, row_keys(weld[cap], size))] = PLANES[opening]
-    cavity = compact(Surface(surface_points, weld[cavity_faces], label))
-    if cavity.volume_ml() < 0:
-        cavity = Surface(cavity.points, cavity.triangles[:, ::-1].copy(), cavity.label)
-    return TaggedMesh(points, tets, endo, caps, cavity)
+    outside, _ = boundary_faces(tets)
+    endo = outside[np.isin(row_keys(outside, len(points)), row_keys(endo, len(points)))]
+    caps = {opening: surface_points[np.unique(named(CAP_WORDS[opening]))] for opening in OPENINGS}
+    rims = _rims(endo, points, caps, str(surfaces_file))
+    return TaggedMesh(points, tets, endo, rims, _closed(points, endo, rims))
+
+
+def _rims(endo: IntArray, points: FloatArray, caps: dict[str, FloatArray], where: str) -> dict[str, IntArray]:
+    """Each opening's rim (k,) of point ids: the endocardium's open loop that lies on its cap."""
+    loops = rim_loops(endo)
+    if len(loops) != len(caps):
+        raise AnatomyError(f"{where}: the endocardium has {len(loops)} openings, expected {len(caps)} ({', '.join(caps)}).")
+    apart = np.array([[cKDTree(cap).query(points[loop])[0].mean() for loop in loops] for cap in caps.values()])
+    best = apart.argmin(axis=1)
+    if len(set(best.tolist())) != len(loops):
+        raise AnatomyError(f"{where}: two of the caps lie on the same opening of the endocardium.")
+    return {name: loops[k] for name, k in zip(caps, best, strict=True)}
+
+
+def _closed(points: FloatArray, endo: IntArray, rims: dict[str, IntArray]) -> Surface:
+    """The endocardium, turned outward, and a smooth triangulation over each rim (the files' own caps are fans)."""
+    points = _even_rims(points, endo, rims)
+    centre = points[np.unique(endo)].mean(axis=0)
+    triangles, label = [endo[:, ::-1]], [np.zeros(len(endo), dtype=np.int64)]
+    everything = points
+    for name, rim in rims.items():
+        ring = points[rim]
+        # the endocardium's triangles look into the cavity, so its rim runs clockwise seen from outside
+        normal = unit(np.cross(ring - ring.mean(axis=0), np.roll(ring, -1, axis=0) - ring.mean(axis=0)).sum(axis=0))
+        outward = normal if normal @ (ring.mean(axis=0) - centre) > 0 else -normal
+        inner, cap = triangulate_loop(everything, rim, outward)
+        everything = np.vstack([everything, inner])
+        triangles.append(cap)
+        label.append(np.full(len(cap), PLANES[name]))
+    surface = compact(Surface(everything, np.vstack(triangles), np.concatenate(label)))
+    check(surface, "cavity of the named surfaces")
+    return surface
+
+
+def _even_rims(points: FloatArray, endo: IntArray, rims: dict[str, IntArray], reach_mm: float = 4.0) -> FloatArray:
+    """Points with the rims' zigzag (cells cut along their faces) smoothed out, the endocardium near them following.
+
+    Each rim is averaged along itself by about three edges and scaled back to its area; points of the wall within
+    ``reach_mm`` of a rim take the mean of their neighbours, fading with distance.
+    """
+    points = points.copy()
+    fixed = np.zeros(len(points), dtype=bool)
+    for rim in rims.values():
+        ring = points[rim]
+
+        def size(x: FloatArray) -> float:
+            return float(np.linalg.norm(np.cross(x - x.mean(axis=0), np.roll(x, -1, axis=0) - x.mean(axis=0)).sum(axis=0)))
+
+        smooth = ring
+        for _ in range(10):
+            smooth = 0.5 * smooth + 0.25 * (np.roll(smooth, 1, axis=0) + np.roll(smooth, -1, axis=0))
+        middle = smooth.mean(axis=0)
+        points[rim] = middle + (smooth - middle) * np.sqrt(size(ring) / size(smooth))
+        fixed[rim] = True
+    edges, _ = unique_edges(endo)
+    used = np.unique(endo)
+    distance = np.full(len(points), np.inf)
+    distance[used] = cKDTree(points[fixed]).query(points[used])[0]
+    weight = np.where(fixed, 0.0, np.clip(1.0 - distance / reach_mm, 0.0, 1.0))[:, None]
+    count = np.maximum(np.bincount(edges.ravel(), minlength=len(points)), 1)[:, None]
+    for _ in range(10):
+        total = np.zeros_like(points)
+        np.add.at(total, edges[:, 0], points[edges[:, 1]])
+        np.add.at(total, edges[:, 1], points[edges[:, 0]])
+        points = points + weight * (total / count - points)
+    return points
 
 
 def _as_is(mesh: TaggedMesh, order: int, thickness: float, ring_width: float, where: str) -> Bundle:
@@ -127,26 +184,22 @@ def _as_is(mesh: TaggedMesh, order: int, thickness: float, ring_width: float, wh
     size = len(points)
     is_endo = np.isin(row_keys(outside, size), row_keys(mesh.endo, size))
     endo, rest = outside[is_endo], outside[~is_endo]
-    loops = rim_loops(endo)
-    if len(loops) != len(OPENINGS):
-        raise AnatomyError(f"{where}: the endocardium has {len(loops)} openings, expected {len(OPENINGS)}.")
     centre = mesh.cavity.points.mean(axis=0)
     region = np.zeros(len(tets), dtype=np.int64)
     caps: list[tuple[IntArray, int]] = []
     middle = points[tets].mean(axis=1)
-    best = {name: min(loops, key=lambda loop: cKDTree(mesh.caps[name]).query(points[loop])[0].mean()) for name in OPENINGS}
     ring_distance = np.full(len(tets), np.inf)
     for name in OPENINGS:
-        plate: Plate = extrude_plate(points, best[name], rest, centre, thickness)
+        plate: Plate = extrude_plate(points, mesh.rims[name], rest, centre, thickness)
         points = np.vstack([points, plate.points])
         tets = np.vstack([tets, plate.tets])
         region = np.append(region, np.full(len(plate.tets), PLANES[name]))
         caps.append((plate.cap, PLANES[name]))
-        near = cKDTree(mesh.points[np.union1d(plate.annulus, best[name])]).query(middle)[0]
+        near = cKDTree(mesh.points[np.union1d(plate.annulus, mesh.rims[name])]).query(middle)[0]
         closer = (near < ring_width) & (near < ring_distance)
         region[: len(middle)][closer] = RINGS[name]
         ring_distance = np.minimum(ring_distance, near)
-    openings = {name: points[best[name]].mean(axis=0) for name in OPENINGS}
+    openings = {name: points[mesh.rims[name]].mean(axis=0) for name in OPENINGS}
     frame = frame_from_openings(centre, openings)
     body = region == 0
     region[body] = sectors(frame, points[tets[body]].mean(axis=1))
