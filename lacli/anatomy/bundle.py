@@ -103,7 +103,7 @@ def load(folder: Path) -> Bundle:
                 f"{folder}: not an anatomy bundle, {file.name} is missing. `lacli synthesize` or `lacli mesh` writes one."
             )
     try:
-        wall = meshio.read(wall_file)
+        wall = meshio.vtu.read(wall_file)  # meshio.read ends the whole program on a damaged file
         boundary = pv.read(boundary_file)
         info = json.loads(info_file.read_text())
     except Exception as error:  # readers raise all sorts of things on damaged files
@@ -117,14 +117,14 @@ def load(folder: Path) -> Bundle:
         raise AnatomyError(f"{wall_file}: the cell array 'region' is missing; write 1 everywhere if there is one region.")
     region = np.asarray(wall.cell_data["region"][0], dtype=np.int64).ravel()
     fibre = wall.cell_data["fibre"][0] if "fibre" in wall.cell_data else None
-    corners = boundary.point_data["wall_point"][boundary.faces.reshape(-1, 4)[:, 1:]].astype(np.int64)
+    corners, tags = _read_boundary(boundary, boundary_file, len(points))
     triangles = corners if tets.shape[1] == 4 else _with_middles(corners, tets)
     bundle = Bundle(
         points=points,
         tets=tets,
         region=region,
         triangles=triangles,
-        tags=np.asarray(boundary.cell_data["tag"], dtype=np.int64),
+        tags=tags,
         fibre=None if fibre is None else np.asarray(fibre, dtype=np.float64),
         transmural=_optional(wall, "transmural"),
         uac=_optional(wall, "uac"),
@@ -133,6 +133,19 @@ def load(folder: Path) -> Bundle:
     )
     check(bundle, str(folder))
     return bundle
+
+
+def _read_boundary(surface: Any, file: Path, points: int) -> tuple[IntArray, IntArray]:
+    """Corner point ids (t, 3) and tags (t,) of ``boundary.vtp``."""
+    for data, name in ((surface.point_data, "wall_point"), (surface.cell_data, "tag")):
+        if name not in data:
+            raise AnatomyError(f"{file}: the array {name!r} is missing. Write the bundle again.")
+    if not surface.n_cells or not surface.is_all_triangles:
+        raise AnatomyError(f"{file}: expected triangles only, and at least one.")
+    ids = np.asarray(surface.point_data["wall_point"], dtype=np.int64)
+    if ids.min() < 0 or ids.max() >= points:
+        raise AnatomyError(f"{file}: 'wall_point' names a point that wall.vtu does not have.")
+    return ids[surface.faces.reshape(-1, 4)[:, 1:]], np.asarray(surface.cell_data["tag"], dtype=np.int64)
 
 
 def _optional(mesh: meshio.Mesh, name: str) -> FloatArray | None:
@@ -182,6 +195,14 @@ def check(bundle: Bundle, where: str) -> None:
         norm = np.linalg.norm(bundle.fibre, axis=1)
         if not np.isfinite(norm).all() or np.any(np.abs(norm - 1) > 1e-3):
             raise AnatomyError(f"{where}: fibres must be finite unit vectors, one per cell.")
+    tags = {ENDO, EPI, OTHER, *RINGS.values(), *PLANES.values()}
+    unknown = sorted(set(np.unique(bundle.tags).tolist()) - tags)
+    if unknown:
+        raise AnatomyError(f"{where}: unknown tag {unknown[0]} on the boundary; the known ones are {sorted(tags)}.")
+    for name in ("transmural", "uac", "pericardium_coordinate"):
+        value = getattr(bundle, name)
+        if value is not None and (len(value) != len(bundle.points) or not np.isfinite(value).all()):
+            raise AnatomyError(f"{where}: '{name}' needs one finite value for every point of the wall.")
     diameter = float(np.ptp(bundle.points, axis=0).max())
     if diameter > 1000:
         raise AnatomyError(f"{where}: the wall is {diameter:.0f} mm wide; are the lengths micrometres? The bundle is in mm.")
@@ -203,3 +224,49 @@ def _check_connected(bundle: Bundle, where: str) -> None:
         raise AnatomyError(f"{where}: the wall falls into {pieces} unconnected pieces; keep one.")
     if count > pieces:
         raise AnatomyError(f"{where}: {count - pieces} points belong to no cell; remove them.")
+    _check_boundary(bundle, where)
+    _check_closed(bundle, where)
+
+
+def _oriented(triangles: IntArray) -> IntArray:
+    """Rows turned so that the smallest point comes first; the sense of rotation stays."""
+    first = np.argmin(triangles, axis=1)
+    return np.take_along_axis(triangles, (first[:, None] + np.arange(3)) % 3, axis=1)
+
+
+def _check_boundary(bundle: Bundle, where: str) -> None:
+    """The triangles are the faces that one cell only has, each once, seen from outside the material."""
+    n = len(bundle.points)
+    cells = bundle.tets[:, :4]
+    faces = np.concatenate([cells[:, list(f)] for f in ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))])
+    key = np.sort(faces, axis=1) @ np.array([n * n, n, 1])
+    _, first, count = np.unique(key, return_index=True, return_counts=True)
+    if count.max() > 2:
+        raise AnatomyError(f"{where}: {int((count > 2).sum())} faces belong to three or more cells; cells overlap. Mesh again.")
+    weights = np.array([n * n, n, 1])
+    outer = _oriented(faces[first[count == 1]]) @ weights
+    given = _oriented(bundle.triangles[:, :3]) @ weights
+    strangers = np.flatnonzero(~np.isin(given, outer))
+    if len(strangers):
+        raise AnatomyError(
+            f"{where}: {len(strangers)} boundary triangles (first {strangers[0]}) are no outer faces of the wall, or turned."
+        )
+    if len(np.unique(given)) != len(given):
+        raise AnatomyError(f"{where}: a boundary triangle is there twice.")
+    if len(given) != len(outer):
+        raise AnatomyError(f"{where}: {len(outer) - len(given)} outer faces of the wall have no boundary triangle, so no tag.")
+
+
+def _check_closed(bundle: Bundle, where: str) -> None:
+    """Every edge of the cavity surface is run through in both directions equally often."""
+    triangles = bundle.cavity_triangles()[:, :3]
+    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    n = len(bundle.points)
+    forward, backward = edges @ np.array([n, 1]), edges @ np.array([1, n])
+    loose = np.flatnonzero(~np.isin(forward, backward))
+    if len(loose):
+        x, y, z = bundle.points[edges[loose[0], 0]]
+        raise AnatomyError(
+            f"{where}: the cavity surface (tags {ENDO} and 21-26) is open along {len(loose)} edges, one of them at "
+            f"({x:.1f}, {y:.1f}, {z:.1f}) mm; a valve plane or a tag is missing."
+        )
