@@ -1,0 +1,186 @@
+"""Many scenes: side by side, results as they finish, failures recorded, interruptions clean."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from lacli import execute
+from lacli.errors import StorageError, UsageError
+from lacli.execute import run_scenes
+from lacli.scene import Scene, dump_scene
+from lacli.store import list_runs, open_run
+
+SceneOf = Callable[..., Scene]
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a stand-in for run_scene returns."""
+
+    key: str
+    folder: Path
+    status: str
+    kind: str | None = None
+    message: str = ""
+    features: dict[str, float] = field(default_factory=dict)
+    manifest: dict[str, Any] = field(default_factory=dict)
+
+
+def stored(scene: Scene, root: Path, on_progress: Callable[[Any], None] | None = None) -> Result:
+    """EDP up to 3: waits EDP x 0.1 s; 4: fails; 5: the disk is full; 6: the process is shot; 7: a bug; 8: hangs."""
+    edp = scene.loads.edp_mmhg
+    with open_run(root, scene) as run:
+        if run.stored is None:
+            if on_progress is not None:
+                on_progress({"load": edp})
+            if edp == 4:
+                run.finish("failed", kind="inverted_element", message="J < 0")
+            elif edp == 5:
+                raise StorageError("the disk is full")
+            elif edp == 6:
+                os.kill(os.getpid(), signal.SIGKILL)
+            elif edp == 7:
+                raise ZeroDivisionError("a bug")
+            else:
+                time.sleep(60 if edp == 8 else edp * 0.1)
+                run.finish(peak_memory_mb=100.0, process=os.getpid())
+        assert run.stored is not None
+        return Result(run.key, run.folder, run.stored.status, run.stored.kind, manifest=run.stored.manifest)
+
+
+def scenes(scene_of: SceneOf, *pressures: float) -> list[Scene]:
+    return [scene_of(f"loads.edp_mmhg={p}") for p in pressures]
+
+
+def test_results_come_as_they_finish_and_failures_are_results(scene_of: SceneOf, tmp_path: Path) -> None:
+    root = tmp_path / "runs"
+    seen: list[tuple[int, Any]] = []
+    todo = scenes(scene_of, 3, 0.1, 4, 0.2)
+    results = list(run_scenes(todo, root, lambda i, e: seen.append((i, e)), workers=2, task=stored))
+    assert [index for index, _ in results] == [1, 2, 3, 0]
+    assert {i: r.status for i, r in results} == {0: "done", 1: "done", 2: "failed", 3: "done"}
+    assert dict(results)[2].kind == "inverted_element"
+    assert (0, {"load": 3.0}) in seen
+    assert len({r.manifest["process"] for i, r in results if i != 2}) == 2, "two workers, used again"
+    assert len(list_runs(root)) == 4
+
+
+def test_started_again_nothing_is_done_twice(scene_of: SceneOf, tmp_path: Path) -> None:
+    root = tmp_path / "runs"
+    first = dict(run_scenes(scenes(scene_of, 0.1, 0.2), root, workers=1, task=stored))
+    again = dict(run_scenes(scenes(scene_of, 0.2, 0.1, 0.3), root, workers=1, task=stored))
+    assert again[0] == first[1]
+    assert again[1] == first[0]
+
+
+@pytest.mark.parametrize(
+    ("edp", "error", "text"), [(5, StorageError, "the disk is full"), (7, RuntimeError, "ZeroDivisionError: a bug")]
+)
+def test_what_stops_every_run_is_raised(scene_of: SceneOf, tmp_path: Path, edp: float, error: type[Exception], text: str) -> None:
+    with pytest.raises(error, match=text):
+        list(run_scenes(scenes(scene_of, edp), tmp_path / "runs", workers=1, task=stored))
+
+
+def test_a_worker_shot_twice_is_a_failed_run_and_the_others_go_on(
+    scene_of: SceneOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stand_in = ModuleType("lacli.mechanics.simulation")
+    stand_in.RunResult = Result  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "lacli.mechanics.simulation", stand_in)
+    root = tmp_path / "runs"
+    results = dict(run_scenes(scenes(scene_of, 6, 0.1), root, workers=1, task=stored))
+    assert (results[0].status, results[0].kind) == ("failed", "killed")
+    assert results[1].status == "done"
+    assert sorted(run.status for run in list_runs(root)) == ["done", "failed"]
+    assert not list(root.glob(".tmp-*"))
+
+
+def test_closing_the_iterator_ends_the_workers_cleanly(scene_of: SceneOf, tmp_path: Path) -> None:
+    root = tmp_path / "runs"
+    series = run_scenes(scenes(scene_of, 0.1, 8), root, workers=2, task=stored)
+    assert next(iter(series))[0] == 0
+    series.close()  # type: ignore[attr-defined]
+    assert len(list_runs(root)) == 1
+    assert not list(root.glob(".tmp-*")), "the hanging run has cleaned up after itself"
+
+
+SERIES = """
+import sys
+sys.path.insert(0, {tests!r})
+from pathlib import Path
+from lacli.execute import run_scenes
+from lacli.scene import load_scene
+from test_execute import stored
+if __name__ == "__main__":
+    scenes = [load_scene(Path({scene!r}), [f"loads.edp_mmhg={{p}}"]) for p in (0.1, 8)]
+    for index, result in run_scenes(scenes, Path({root!r}), workers=2, task=stored):
+        print(index, flush=True)
+"""
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_interrupted_or_killed_series_leaves_no_process(scene_of: SceneOf, tmp_path: Path, how: signal.Signals) -> None:
+    scene, series, root = tmp_path / "scene.toml", tmp_path / "series.py", tmp_path / "runs"
+    scene.write_text(dump_scene(scene_of()))
+    series.write_text(SERIES.format(tests=str(Path(__file__).parent), scene=str(scene), root=str(root)))
+    with subprocess.Popen([sys.executable, str(series)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as main:
+        assert main.stdout is not None
+        assert main.stdout.readline() == "0\n"
+        workers = Path(f"/proc/{main.pid}/task/{main.pid}/children").read_text().split()
+        assert len(workers) >= 2
+        main.send_signal(how)
+        main.communicate(timeout=20)
+    end = time.monotonic() + 5
+    while alive := [pid for pid in workers if Path(f"/proc/{pid}").exists() and state(pid) != "Z"]:
+        assert time.monotonic() < end, alive
+        time.sleep(0.05)
+    assert len(list_runs(root)) == 1
+    assert bool(list(root.glob(".tmp-*"))) == (how == signal.SIGKILL)
+    list(run_scenes([scene_of("loads.edp_mmhg=0.3")], root, workers=1, task=stored))
+    assert not list(root.glob(".tmp-*"))
+
+
+def state(pid: str) -> str:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except OSError:
+        return "Z"
+
+
+def test_little_memory_means_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(execute, "memory_mb", lambda: (2000.0, 900.0))
+    assert execute.default_workers() == 1
+    busy = execute._Worker(None, None, index=0)
+    idle = execute._Worker(None, None)
+    assert execute._may_start([idle], 4, 5000.0), "one always runs"
+    assert not execute._may_start([busy, idle], 4, 0.0)
+    assert execute._may_start([busy, idle], 4, 700.0)
+    assert not execute._may_start([busy, idle], 4, 800.0)
+    assert not execute._may_start([busy, idle], 1, 10.0)
+
+
+def test_cluster_has_the_same_interface(scene_of: SceneOf, tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed", reason="needs the extra 'cluster'")
+    with (
+        distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as here,
+        distributed.Client(here),
+    ):
+        results = dict(run_scenes(scenes(scene_of, 0.1, 4), tmp_path / "runs", scheduler=here.scheduler_address, task=stored))
+    assert {i: r.status for i, r in results.items()} == {0: "done", 1: "failed"}
+
+
+def test_cluster_without_dask_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(UsageError, match=r"pip install 'lacli\[cluster\]'"):
+        list(run_scenes([], tmp_path, scheduler="tcp://nowhere:1", task=stored))
