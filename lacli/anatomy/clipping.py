@@ -1,13 +1,11 @@
-"""Cutting a closed surface at planes: the far piece goes, a flat labelled cap closes the hole, a strip along it is the ring."""
+"""Cutting a closed surface at planes: the far piece goes, a flat labelled cap closes the hole."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from lacli.anatomy import paths
-from lacli.anatomy.bundle import PLANES, RINGS
 from lacli.anatomy.surface import Surface, compact
 from lacli.errors import AnatomyError
 
@@ -93,7 +91,6 @@ def _close(surface: Surface, normal: FloatArray, label: int, what: str) -> Surfa
 def fill_rim(points: FloatArray, rim: IntArray, neighbours: IntArray) -> IntArray:
     """Triangles (k - 2, 3) over a rim (k,), no new points, oriented to fit ``neighbours``."""
     import vtk
-    from vtk.util.numpy_support import vtk_to_numpy
 
     directed = {(int(a), int(b)) for a, b in neighbours[np.isin(neighbours, rim).any(axis=1)][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)}
     if (int(rim[0]), int(rim[1])) in directed:
@@ -109,7 +106,6 @@ def fill_rim(points: FloatArray, rim: IntArray, neighbours: IntArray) -> IntArra
     local = np.array([ids.GetId(i) for i in range(ids.GetNumberOfIds())], dtype=np.int64).reshape(-1, 3)
     if not good or len(local) != len(rim) - 2:
         local = _fan(len(rim))
-    del vtk_to_numpy
     cap = rim[local]
     # ear cutting keeps the rim's direction; make sure with the rim's own edges
     forward = {(int(rim[i]), int(rim[(i + 1) % len(rim)])) for i in range(len(rim))}
@@ -120,29 +116,3 @@ def fill_rim(points: FloatArray, rim: IntArray, neighbours: IntArray) -> IntArra
 def _fan(size: int) -> IntArray:
     i = np.arange(1, size - 1)
     return np.column_stack([np.zeros(size - 2, dtype=np.int64), i, i + 1])
-
-
-def mark_ring(surface: Surface, name: str, width_mm: float) -> Surface:
-    """Wall within ``width_mm`` of the plane of opening ``name`` becomes its ring (label RINGS[name]); the border is a smooth curve."""
-    plane = surface.label == PLANES[name]
-    rim = paths.border_edges(surface.triangles, plane)
-    if len(rim) == 0 or width_mm <= 0:
-        return surface
-    dense = np.concatenate([surface.points[rim[:, 0]] * (1 - s) + surface.points[rim[:, 1]] * s for s in (0.0, 0.25, 0.5, 0.75)])
-    distance, _ = cKDTree(dense).query(surface.points, distance_upper_bound=2.0 * width_mm)
-    distance = np.where(np.isfinite(distance), distance, 2.0 * width_mm)
-    wall = surface.label == 0
-    near = (distance < width_mm)[surface.triangles].any(axis=1) & wall
-    _, part = paths.triangle_components(surface.triangles, near)
-    beside = np.isin(surface.triangles, np.unique(rim)).any(axis=1) & near
-    reached = np.isin(part, np.unique(part[beside])) & near
-    of_wall = np.zeros(len(surface.points), dtype=bool)
-    of_wall[surface.triangles[reached]] = True
-    field = np.where(of_wall, width_mm - distance, -1.0)
-    on_rim = np.unique(rim)
-    field[on_rim] = width_mm
-    # planes and other rings are not cut: their points keep their sign on all of their triangles
-    points, triangles, labels, positive = split(surface, np.where(np.abs(field) < 1e-9, 1e-9, field))
-    ring = positive & (labels == 0)
-    labels = np.where(ring, RINGS[name], labels)
-    return Surface(points, triangles, labels)

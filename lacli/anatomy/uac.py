@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 
 from lacli.anatomy import laplace, paths
 from lacli.errors import AnatomyError
@@ -54,17 +55,18 @@ class Parts:
 
     points (n, 3) mm; triangles (t, 3), open at the mitral valve and at the veins' rims; vessel (t,): "" for the body, else
     a vein's name or "appendage"; mitral (k,) ordered point ids of the mitral rim. lateral, septal: points (3,) that the two
-    side lines pass; lspv_roof, rspv_roof: points on the roof side of the superior veins' junctions.
+    side lines pass (None: the shortest way from the carina between the veins to the mitral rim); lspv_roof, rspv_roof: points on
+    the roof side of the superior veins' junctions (None: the side that faces the other veins).
     """
 
     points: FloatArray
     triangles: IntArray
     vessel: NDArray[np.str_]
     mitral: IntArray
-    lateral: FloatArray
-    septal: FloatArray
-    lspv_roof: FloatArray
-    rspv_roof: FloatArray
+    lateral: FloatArray | None = None
+    septal: FloatArray | None = None
+    lspv_roof: FloatArray | None = None
+    rspv_roof: FloatArray | None = None
 
 
 @dataclass
@@ -98,8 +100,9 @@ def coordinates(parts: Parts) -> FloatArray:
     points, triangles = parts.points, parts.triangles
     junction, rim = _vessel_loops(parts)
     graph = paths.edge_graph(points, triangles)
-    lspv = _superior(points, junction["lspv"], junction["lipv"], parts.lspv_roof)
-    rspv = _superior(points, junction["rspv"], junction["ripv"], parts.rspv_roof)
+    between = np.mean([points[junction[name]].mean(axis=0) for name in VEINS], axis=0)
+    lspv = _superior(points, junction["lspv"], junction["lipv"], parts.lspv_roof, between)
+    rspv = _superior(points, junction["rspv"], junction["ripv"], parts.rspv_roof, between)
     roof = np.concatenate([lspv.roof, paths.shortest_path(graph, lspv.far, rspv.far)[1:-1], rspv.roof[::-1]])
     lateral = _side_line(points, graph, parts.lateral, lspv.near, parts.mitral)
     septal = _side_line(points, graph, parts.septal, rspv.near, parts.mitral)
@@ -162,19 +165,24 @@ def _vessel_loops(parts: Parts) -> tuple[dict[str, IntArray], dict[str, IntArray
     return junction, rim
 
 
-def _superior(points: FloatArray, loop: IntArray, inferior: IntArray, roof_side: FloatArray) -> _Superior:
+def _superior(points: FloatArray, loop: IntArray, inferior: IntArray, roof_side: FloatArray | None, between: FloatArray) -> _Superior:
     distance = np.linalg.norm(points[loop][:, None] - points[inferior][None], axis=2)
     near = int(loop[int(np.argmin(distance.min(axis=1)))])
     far = int(loop[int(np.argmax(np.linalg.norm(points[loop] - points[near], axis=1)))])
     arcs = [paths.arc(loop, near, far), paths.arc(loop[::-1], near, far)]
-    gap = [np.linalg.norm(points[a[1:-1]] - roof_side, axis=1).min() if len(a) > 2 else np.inf for a in arcs]
+    if min(len(a) for a in arcs) < 3:
+        raise AnatomyError("the junction of a superior vein has too few points for coordinates; use a smaller cell size.")
+    if roof_side is None:
+        gap = [float(np.linalg.norm(points[a[1:-1]] - between, axis=1).mean()) for a in arcs]
+    else:
+        gap = [float(np.linalg.norm(points[a[1:-1]] - roof_side, axis=1).min()) for a in arcs]
     first = int(np.argmin(gap))
     return _Superior(near, far, arcs[first], arcs[1 - first])
 
 
-def _side_line(points: FloatArray, graph: object, marker: FloatArray, vein: int, mitral: IntArray) -> IntArray:
-    start = int(np.argmin(np.linalg.norm(points - marker, axis=1)))
-    return np.union1d(paths.shortest_path(graph, start, vein), paths.shortest_path(graph, start, mitral))  # type: ignore[arg-type]
+def _side_line(points: FloatArray, graph: csr_matrix, marker: FloatArray | None, vein: int, mitral: IntArray) -> IntArray:
+    start = vein if marker is None else int(np.argmin(np.linalg.norm(points - marker, axis=1)))
+    return np.union1d(paths.shortest_path(graph, start, vein), paths.shortest_path(graph, start, mitral))
 
 
 def _posterior_points(parts: Parts, border: IntArray, junction: Mapping[str, IntArray]) -> IntArray:
@@ -201,7 +209,7 @@ class _Frame:
     across: FloatArray
     up: FloatArray
     free: NDArray[np.bool_]
-    graph: object
+    graph: csr_matrix
     junction: Mapping[str, IntArray]
     rim: Mapping[str, IntArray]
 
@@ -213,7 +221,7 @@ class _Frame:
         return ids, past[ids]
 
     def line(self, start: int, end: int | IntArray) -> IntArray:
-        return paths.shortest_path(self.graph, start, end)  # type: ignore[arg-type]
+        return paths.shortest_path(self.graph, start, end)
 
     def extremes(self, name: str) -> dict[str, int]:
         loop = self.junction[name]
@@ -256,13 +264,11 @@ def _posterior_values(frame: _Frame) -> tuple[_Values, _Values]:
     left, right = JUNCTION["lipv"], JUNCTION["ripv"]
     low, high = 2.0 * (left.beta - left.half_beta), 2.0 * (left.beta + left.half_beta)
     ends = {name: frame.extremes(name) for name in ("lipv", "ripv")}
-    everywhere = np.ones(len(frame.points), dtype=bool)
     for name, circle in (("lipv", left), ("ripv", right)):
         for side, above in (("left", False), ("right", True)):
             end = ends[name][side]
             ids, past = frame.strip(frame.across, frame.across[end], above, frame.up < frame.up[end])
             across.put(ids, 1.0 - circle.alpha + (1 if above else -1) * circle.half_alpha + past)
-        outer = everywhere & (frame.across < frame.across[ends[name]["low"]] if name == "lipv" else False)
         for side, above, value in (("low", False, low), ("high", True, high)):
             end = ends[name][side]
             outer = frame.across < frame.across[end] if name == "lipv" else frame.across > frame.across[end]
@@ -301,25 +307,29 @@ def _anterior_values(frame: _Frame, parts: Parts, lspv: _Superior, rspv: _Superi
     for name, vein in (("lspv", lspv), ("rspv", rspv)):
         if name in frame.rim:
             _put_circle(frame, across, up, frame.rim[name], RIM[name], anterior=True)
-        outwards = (lambda s: s) if name == "lspv" else (lambda s: 1.0 - s)
         middle = vein.roof[len(vein.roof) // 2]
-        for piece, start in ((paths_until(vein.roof, middle), 0.0), (paths_from(vein.roof, middle), 0.5)):
+        for piece, start in ((_until(vein.roof, middle), 0.0), (_from(vein.roof, middle), 0.5)):
             s = start + 0.5 * paths.arc_parameter(frame.points, piece)
-            across.put(piece, outwards(SUPERIOR_WIDTH * s))
+            across.put(piece, _outwards(name, SUPERIOR_WIDTH * s))
         middle = vein.front[len(vein.front) // 2]
-        for piece, start in ((paths_until(vein.front, middle), 0.0), (paths_from(vein.front, middle), 0.5)):
+        for piece, start in ((_until(vein.front, middle), 0.0), (_from(vein.front, middle), 0.5)):
             theta = np.pi * (start + 0.5 * paths.arc_parameter(frame.points, piece))
-            across.put(piece, outwards(0.5 * SUPERIOR_WIDTH * (1.0 - np.cos(theta))))
+            across.put(piece, _outwards(name, 0.5 * SUPERIOR_WIDTH * (1.0 - np.cos(theta))))
             up.put(piece, 1.0 - 2.0 * SUPERIOR_HEIGHT * np.sin(theta))
     return across, up
 
 
-def paths_until(path: IntArray, middle: int) -> IntArray:
+def _outwards(name: str, across: FloatArray) -> FloatArray:
+    """The left vein's place in the square, or its mirror image for the right one."""
+    return across if name == "lspv" else 1.0 - across
+
+
+def _until(path: IntArray, middle: int) -> IntArray:
     """The path up to and with the point ``middle``."""
     return path[: int(np.flatnonzero(path == middle)[0]) + 1]
 
 
-def paths_from(path: IntArray, middle: int) -> IntArray:
+def _from(path: IntArray, middle: int) -> IntArray:
     """The path from the point ``middle`` on."""
     return path[int(np.flatnonzero(path == middle)[0]) :]
 
