@@ -141,9 +141,12 @@ def fit_emulator(
         if (other_evidence := _evidence(other, other_value)) > evidence:
             evidence, data, theta, value = other_evidence, other, other_theta, other_value
     theta, value = gp.maximise(data.u, data.y, data.noise, [theta, *start[1:]])
+    # the order in which runs tell most: the first few already bound the variance from above (EmulatorSet.screen)
+    order = gp.pivots(theta, data.u)
     emulator = Emulator(
         output=output, log_inputs=data.log_inputs, low=data.low, high=data.high, log_output=data.log_output,
-        shift=data.shift, scale=data.scale, inflation=1.0, process=gp.condition(theta, data.u, data.y, data.noise, value),
+        shift=data.shift, scale=data.scale, inflation=1.0,
+        process=gp.condition(theta, data.u[order], data.y[order], data.noise[order], value),
     )  # fmt: skip
     return replace(emulator, inflation=_inflation(data, theta, rng))
 

@@ -22,6 +22,8 @@ FloatArray = NDArray[np.float64]
 FORMAT = 1
 # rows of a block: the block of kernel values of one output stays in the second-level cache
 _BLOCK = 512
+# runs whose correlations bound the variance from above in a first look
+_HEAD = 64
 # up to this many points one batched product over all outputs beats a loop over them
 _BATCH = 160
 
@@ -32,7 +34,7 @@ class _Stack:
 
     exponent (p, f, n): phi @ exponent = log of the kernel's correlation with each run; linear (p, f, 1 + q): the mean's
     and its uncertainty's part linear in phi; weights (p, n, 1 + q): their part linear in the correlations;
-    roots (p, n, n): transposed inverse Cholesky factors times s2; prior (p,): s2 + nugget; moments (p,) for the output.
+    roots (p, n, n): transposed inverse Cholesky factors times s2; prior (p,): s2 + nugget; nugget (p,); moments (p,) for the output.
     """
 
     low: FloatArray
@@ -42,6 +44,7 @@ class _Stack:
     weights: FloatArray
     roots: FloatArray
     prior: FloatArray
+    nugget: FloatArray
     shift: FloatArray
     scale: FloatArray
     inflation: FloatArray
@@ -93,6 +96,36 @@ class EmulatorSet:
         _blocks(s, [j], _features(s, x), mean, variance)
         _to_outputs(s, [j], mean, variance)
         return mean[0], variance[0]
+
+    def screen(self, j: int, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Bounds of output j at x (m, d) for a third of a prediction's cost: mean from, to; variance from, to; (m,) each.
+
+        The variance given only the first runs (in the order in which they tell most) is above the variance given all; the
+        nugget is below it.
+        """
+        s: _Stack = self._stack  # type: ignore[attr-defined]
+        phi = _features(s, x)
+        n = s.exponent.shape[2]
+        head = min(_HEAD, n)
+        root = np.ascontiguousarray(s.roots[j][:head, :head])
+        buffer = np.empty((_BLOCK, n))
+        mean, variance = np.empty((2, len(x))), np.empty((2, len(x)))
+        for begin in range(0, len(x), _BLOCK):
+            f = phi[begin : begin + _BLOCK]
+            rows = slice(begin, begin + len(f))
+            k = buffer[: len(f)]
+            np.dot(f, s.exponent[j], out=k)
+            np.exp(k, out=k)
+            t = k @ s.weights[j]
+            t += f @ s.linear[j]
+            w = t[:, 1:]
+            v = k[:, :head] @ root
+            mean[:, rows] = t[:, 0]
+            variance[0, rows] = s.nugget[j] + np.einsum("ij,ij->i", w, w)
+            spread = (s.prior[j] - s.nugget[j]) - np.einsum("ij,ij->i", v, v)
+            variance[1, rows] = variance[0, rows] + np.maximum(spread, 0.0)
+        _to_outputs(s, [j, j], mean, variance)  # rows: at the least and at the greatest variance
+        return mean[0], mean[1], variance[0], variance[1]
 
     def _evaluate(self, x: FloatArray, with_variance: bool) -> tuple[FloatArray, FloatArray]:
         s: _Stack = self._stack  # type: ignore[attr-defined]
@@ -207,7 +240,7 @@ def _stack(emulators: Sequence[Emulator]) -> _Stack:
         weights.append(g.s2 * np.hstack([g.alpha[:, None], -(g.c @ g.g).T]))
         roots.append(np.ascontiguousarray(g.s2 * g.inverse_factor.T))
     return _Stack(
-        low=low, high=high, exponent=np.array(exponent), linear=np.array(linear), weights=np.array(weights),
+        nugget=np.array([e.process.nugget for e in emulators]), low=low, high=high, exponent=np.array(exponent), linear=np.array(linear), weights=np.array(weights),
         roots=np.array(roots), prior=np.array([e.process.s2 + e.process.nugget for e in emulators]),
         shift=np.array([e.shift for e in emulators]), scale=np.array([e.scale for e in emulators]),
         inflation=np.array([e.inflation for e in emulators]), log_output=np.array([e.log_output for e in emulators]),

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
-from scipy.linalg.lapack import dpotrf, dpotri
+from scipy.linalg.lapack import dpotrf, dpotri, dpstrf
 from scipy.optimize import minimize
 
 FloatArray = NDArray[np.float64]
@@ -164,6 +164,16 @@ def starting_points(d: int, count: int, rng: np.random.Generator) -> list[FloatA
     for _ in range(count - 1):
         starts.append(np.log(np.r_[np.exp(rng.uniform(np.log(0.5), np.log(10.0), d)), 1.0, 10.0 ** rng.uniform(-5, -1)]))
     return starts
+
+
+def pivots(theta: FloatArray, u: FloatArray) -> NDArray[np.int64]:
+    """Order of the runs (n,) in which each is the one least known from those before it (pivoted Cholesky)."""
+    z = u / np.exp(theta[:-2])
+    half = 0.5 * (z**2).sum(1)
+    covariance = np.exp(np.minimum(z @ z.T - half[:, None] - half, 0.0))
+    covariance[np.diag_indices(len(u))] += np.exp(theta[-1])
+    _, order, _, _ = dpstrf(np.asfortranarray(covariance), lower=1)
+    return order.astype(np.int64) - 1
 
 
 def condition(theta: FloatArray, u: FloatArray, y: FloatArray, noise: FloatArray, objective: float = np.nan) -> GP:

@@ -1,0 +1,130 @@
+"""The parameter box: names with units, ranges, and orderings between inputs."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lacli.errors import UsageError
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_REGIONS = ("anterior", "posterior", "septum", "lateral", "roof")
+# published ranges of the left atrium's parameters
+RANGES: dict[str, tuple[float, float]] = {
+    **{f"c_{region}_kpa": (0.2, 6.8) for region in _REGIONS},
+    **{f"alpha_{region}": (0.125, 4.0) for region in _REGIONS},
+    "edp_mmhg": (1.0, 12.0),
+    "esp_mmhg": (13.0, 37.0),
+    "k_peri_kpa_per_um": (0.0001, 0.005),
+    "pth": (0.50, 0.95),
+}
+CALIBRATION_INPUTS: tuple[str, ...] = tuple(name for name in RANGES if not name.startswith("c_"))
+SENSITIVITY_INPUTS: tuple[str, ...] = tuple(RANGES)
+OUTPUTS: tuple[str, ...] = ("esv_ml", "d_global_mm", *(f"d_{region}_mm" for region in _REGIONS))
+# (lower, upper): the first must stay below the second
+_ORDERED = (("edp_mmhg", "esp_mmhg"),)
+
+
+@dataclass(frozen=True)
+class Box:
+    """Ranges of d inputs; ``ordered``: pairs of column numbers (i, j) with input i < input j required."""
+
+    names: tuple[str, ...]
+    lower: FloatArray
+    upper: FloatArray
+    ordered: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def d(self) -> int:
+        """Number of inputs."""
+        return len(self.names)
+
+    def contains(self, x: FloatArray) -> BoolArray:
+        """Whether points (m, d) are within the ranges and keep the orderings."""
+        inside = ((x >= self.lower) & (x <= self.upper)).all(1)
+        for i, j in self.ordered:
+            inside &= x[:, i] < x[:, j]
+        return inside
+
+    def from_unit(self, u: FloatArray) -> FloatArray:
+        """Points of the unit cube (m, d) -> points of the box."""
+        return self.lower + u * (self.upper - self.lower)
+
+    def to_unit(self, x: FloatArray) -> FloatArray:
+        """Points of the box (m, d) -> points of the unit cube."""
+        return (x - self.lower) / (self.upper - self.lower)
+
+    def uniform(self, count: int, rng: np.random.Generator) -> FloatArray:
+        """Independent uniform points (count, d) that keep the orderings."""
+        found = np.empty((0, self.d))
+        while len(found) < count:
+            x = self.from_unit(rng.random((count, self.d)))
+            found = np.vstack([found, x[self.contains(x)]])
+        return found[:count]
+
+
+def make_box(names: Sequence[str], lower: Sequence[float], upper: Sequence[float]) -> Box:
+    """A checked box, with the orderings that apply to its names where the ranges overlap.
+
+    Raises UsageError for an empty or reversed range, or an ordering that no point keeps.
+    """
+    low, high = np.asarray(lower, float), np.asarray(upper, float)
+    if len(set(names)) != len(names):
+        raise UsageError("box: an input is named twice.")
+    for name, a, b in zip(names, low, high, strict=True):
+        if not (math.isfinite(a) and math.isfinite(b) and a < b):
+            raise UsageError(f"box: the range of {name} is [{a:g}, {b:g}]; the lower end must be below the upper one.")
+    ordered = []
+    for first, second in _ORDERED:
+        if first in names and second in names:
+            i, j = list(names).index(first), list(names).index(second)
+            if low[i] >= high[j]:
+                raise UsageError(f"box: {first} is never below {second} in these ranges.")
+            if high[i] >= low[j]:
+                ordered.append((i, j))
+    return Box(tuple(names), low, high, tuple(ordered))
+
+
+def published_box(names: Sequence[str] = CALIBRATION_INPUTS) -> Box:
+    """The published ranges of the named inputs."""
+    unknown = [name for name in names if name not in RANGES]
+    if unknown:
+        raise UsageError(f"no published range for {', '.join(unknown)}; give a box file. Known: {', '.join(RANGES)}.")
+    return make_box(names, [RANGES[n][0] for n in names], [RANGES[n][1] for n in names])
+
+
+def read_box(path: Path) -> Box:
+    """Read ranges from TOML: ``[box]`` with ``name = [lower, upper]`` for each input.
+
+    Raises UsageError with the key at fault.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise UsageError(f"{path}: no such box file. Write [box] and a line `name = [lower, upper]` for each input.")
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path}: not valid TOML ({error}).") from error
+    table = document.get("box", document)
+    if not isinstance(table, dict) or not table:
+        raise UsageError(f"{path}: no range in it. Write [box] and a line `name = [lower, upper]` for each input.")
+    for name, pair in table.items():
+        numbers = isinstance(pair, list) and len(pair) == 2
+        if not numbers or not all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in pair):
+            raise UsageError(f"{path}: {name} needs [lower, upper], found {pair!r}.")
+    return make_box(list(table), [pair[0] for pair in table.values()], [pair[1] for pair in table.values()])
+
+
+def table_box(names: Sequence[str], x: FloatArray) -> Box:
+    """The box of a table of runs: the published range of a known input, else the range of its column in x (n, d)."""
+    lower = [RANGES.get(name, (column.min(), 0))[0] for name, column in zip(names, x.T, strict=True)]
+    upper = [RANGES.get(name, (0, column.max()))[1] for name, column in zip(names, x.T, strict=True)]
+    return make_box(names, np.minimum(lower, x.min(0)).tolist(), np.maximum(upper, x.max(0)).tolist())
