@@ -145,7 +145,8 @@ def _run_python(code: str) -> tuple[bool, str]:
         return False, "no answer within 120 s"
     if answer.returncode == 0 and "@ " in answer.stdout:
         return True, answer.stdout.split("@ ", 1)[1].strip()
-    return False, (answer.stderr.strip().splitlines() or [f"ended with code {answer.returncode}"])[-1]
+    lines = re.sub(r"\x1b\[[0-9;]*m", "", answer.stderr).strip().splitlines()
+    return False, ": ".join([f"code {answer.returncode}", *lines[-1:]])
 
 
 def _package_of(message: str) -> str:

@@ -1,0 +1,15 @@
+#!/usr/bin/env bash
+# Installs everything, then style, types and tests: bash tests/run.sh [PYTEST_ARGUMENTS]
+set -euo pipefail
+source "$(dirname "${BASH_SOURCE[0]}")/../examples/install.sh"
+install_lacli test
+cd "$ROOT"
+
+say "ruff"
+"$BIN/ruff" check lacli tests benchmarks
+"$BIN/ruff" format --check lacli tests benchmarks
+say "mypy"
+"$BIN/mypy"
+say "pytest"
+# the installed package is tested, not the checkout: pytest must not put the root on the path
+"$BIN/pytest" -n 2 "$@"
