@@ -6,7 +6,7 @@ array arithmetic; borders between labels are curves of their own, whose points s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -28,6 +28,7 @@ class _Mesh:
     triangles: IntArray
     label: IntArray
     size: FloatArray  # asked edge length per point
+    refusals: FloatArray = field(default_factory=lambda: np.zeros(0))  # collapses refused so far, per point
 
     def refresh(self) -> None:
         """Edges, their triangles, and whether points are inside a patch, on a border, or fixed."""
@@ -216,7 +217,9 @@ def split_at(triangles: IntArray, label: IntArray, middle: IntArray) -> tuple[In
 def _collapse(mesh: _Mesh, reference: Reference, asked) -> None:  # type: ignore[no-untyped-def]
     """Remove edges shorter than 4/5 of the asked length, an independent set at a time."""
     rng = np.random.default_rng(7)
-    for _ in range(60):
+    mesh.refusals = np.zeros(len(mesh.points))
+    idle = 0
+    for _ in range(120):
         mesh.refresh()
         short = mesh.length < 0.8 * mesh.wanted
         a, b = mesh.edges.T
@@ -229,11 +232,14 @@ def _collapse(mesh: _Mesh, reference: Reference, asked) -> None:  # type: ignore
         if len(candidate) == 0:
             return
         candidate = candidate[_common_neighbours(mesh, candidate) == 2]
-        chosen = _independent(mesh, candidate, mesh.length[candidate] * (1 + 0.3 * rng.random(len(candidate))))
+        # an edge that was refused must not stand in its neighbours' way again
+        patience = 1 + mesh.refusals[mesh.edges[candidate]].sum(axis=1)
+        chosen = _independent(mesh, candidate, mesh.length[candidate] * patience * (1 + 0.3 * rng.random(len(candidate))))
         if len(chosen) == 0:
             return
         done = _apply_collapse(mesh, chosen, reference, asked)
-        if done < max(1, 0.002 * len(mesh.edges)):
+        idle = idle + 1 if done < max(1, 0.002 * len(mesh.edges)) else 0
+        if idle > 3:
             return
 
 
@@ -280,28 +286,36 @@ def _apply_collapse(mesh: _Mesh, chosen: IntArray, reference: Reference, asked) 
     edge_of = touched.max(axis=1)
     both = (touched >= 0).sum(axis=1) == 2
     ring = np.flatnonzero((edge_of >= 0) & ~both)
-    bad = _folds(mesh.points[mesh.triangles[ring]], position[mesh.triangles[ring]])
+    bad = _turned(mesh, position, ring)
+    # worse than the worst that is there, and poor: refused
+    star = np.flatnonzero(edge_of >= 0)
+    poorest_before, poorest_after = np.full(len(chosen), np.inf), np.full(len(chosen), np.inf)
+    np.minimum.at(poorest_before, edge_of[star], _quality(mesh.points[mesh.triangles[star]]))
+    np.minimum.at(poorest_after, edge_of[ring], _quality(position[mesh.triangles[ring]]))
+    worse = (poorest_after < 0.1) & (poorest_after < poorest_before)
     new = position[mesh.triangles[ring]]
     longest = np.linalg.norm(new - np.roll(new, 1, axis=1), axis=2).max(axis=1)
     before = np.linalg.norm(mesh.points[mesh.triangles[ring]] - np.roll(mesh.points[mesh.triangles[ring]], 1, axis=1), axis=2)
     bad |= longest > np.maximum(1.4 * mesh.size[mesh.triangles[ring]].mean(axis=1), before.max(axis=1) * 1.02)
-    refused = np.zeros(len(chosen), dtype=bool)
+    refused = worse
     refused[edge_of[ring][bad]] = True
     # two collapses may share an opposite point, and each takes one neighbour from it
     opposite = mesh.opposite[chosen]
     left = mesh.valence - np.bincount(opposite[~refused].ravel(), minlength=len(mesh.points))
     refused |= (left[opposite] < 3).any(axis=1)
     ok = ~refused
+    np.add.at(mesh.refusals, mesh.edges[chosen[refused]].ravel(), 1.0)
     if not ok.any():
         return 0
     mesh.points[stay[ok]] = target[ok]
+    mesh.refusals[stay[ok]] = 0.0
     mesh.size[stay[ok]] = asked(target[ok])
     to = np.arange(len(mesh.points))
     to[gone[ok]] = stay[ok]
     triangles = to[mesh.triangles]
     alive = (triangles[:, 0] != triangles[:, 1]) & (triangles[:, 1] != triangles[:, 2]) & (triangles[:, 2] != triangles[:, 0])
     used, local = np.unique(triangles[alive], return_inverse=True)
-    mesh.points, mesh.size = mesh.points[used], mesh.size[used]
+    mesh.points, mesh.size, mesh.refusals = mesh.points[used], mesh.size[used], mesh.refusals[used]
     mesh.triangles, mesh.label = local.reshape(-1, 3), mesh.label[alive]
     return int(ok.sum())
 
@@ -316,14 +330,27 @@ def _quality(corner: FloatArray) -> FloatArray:
     return np.linalg.norm(_normal(corner), axis=1) / np.maximum(longest, 1e-30) * (2.0 / np.sqrt(3.0))
 
 
-def _folds(old: FloatArray, new: FloatArray) -> np.ndarray:
-    """Triangles that turn over, or become flat, from old to new corners (k, 3, 3)."""
-    n_old, n_new = _normal(old), _normal(new)
-    cosine = np.einsum("ij,ij->i", n_old, n_new) / np.maximum(
-        np.linalg.norm(n_old, axis=1) * np.linalg.norm(n_new, axis=1), 1e-30
-    )
-    q_old, q_new = _quality(old), _quality(new)
-    return ((cosine < 0.6) & (q_old > 0.15)) | ((q_new < 0.1) & (q_new < q_old))
+def _turned(mesh: _Mesh, position: FloatArray, which: IntArray) -> np.ndarray:
+    """Triangles (of ids ``which``) that would face away from the surface around them if the points moved to ``position``.
+
+    The surface's direction is the mean of the area-weighted normals at the triangle's points, wall and planes apart: thin
+    triangles, whose own normals mean nothing, have no say in it.
+    """
+    vector = _normal(mesh.points[mesh.triangles])
+    plane = mesh.label >= 21
+    n = len(mesh.points)
+    around = np.zeros((2 * n, 3))
+    slot = mesh.triangles + n * plane[:, None]
+    for d in range(3):
+        around[:, d] = np.bincount(slot.ravel(), weights=np.repeat(vector[:, d], 3), minlength=2 * n)
+    around /= np.maximum(np.linalg.norm(around, axis=1, keepdims=True), 1e-30)
+    expected = around[slot[which]].sum(axis=1)
+    expected /= np.maximum(np.linalg.norm(expected, axis=1, keepdims=True), 1e-30)
+    new = _normal(position[mesh.triangles[which]])
+    cosine = np.einsum("ij,ij->i", new, expected) / np.maximum(np.linalg.norm(new, axis=1), 1e-30)
+    old = vector[which]
+    before = np.einsum("ij,ij->i", old, expected) / np.maximum(np.linalg.norm(old, axis=1), 1e-30)
+    return (cosine < 0.4) & (cosine < before)
 
 
 def _flip(mesh: _Mesh, by_angle: bool) -> None:
@@ -401,13 +428,18 @@ def _relax(mesh: _Mesh, reference: Reference) -> None:
     step = np.where((mesh.kind == BORDER)[:, None], along - mesh.points, step)
     step[mesh.kind == CORNER] = 0.0
     old = mesh.points.copy()
+    before = _quality(old[mesh.triangles])
     factor = np.full(n, 0.7)
     for _ in range(4):
         mesh.points = old + factor[:, None] * step
         _project(mesh, np.flatnonzero((mesh.kind != CORNER) & (factor > 0)), reference)
         mesh.points[factor == 0] = old[factor == 0]
-        bad = _folds(old[mesh.triangles], mesh.points[mesh.triangles])
+        moved, mesh.points = mesh.points, old
+        bad = _turned(mesh, moved, np.arange(len(mesh.triangles)))
+        quality = _quality(moved[mesh.triangles])
+        bad |= (quality < 0.1) & (quality < 0.9 * before)
         if not bad.any():
+            mesh.points = moved
             return
         factor[np.unique(mesh.triangles[bad])] *= 0.0
     mesh.points = old

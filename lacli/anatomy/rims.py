@@ -34,7 +34,7 @@ def label_rings(surface: Surface, width_mm: float = RING_WIDTH_MM) -> Surface:
         return surface
     near = {value: _distance(surface, ids) for value, ids in rims.items()}
     value = np.minimum.reduce(list(near.values())) - width_mm
-    value[np.abs(value) < 0.05 * min(width_mm, surface.mean_edge_mm())] = 0.0
+    surface, value = _snapped(surface, value)
     wall = surface.label == WALL
     edges, of_triangle = unique_edges(surface.triangles)
     fa, fb = value[edges[:, 0]], value[edges[:, 1]]
@@ -58,6 +58,27 @@ def label_rings(surface: Surface, width_mm: float = RING_WIDTH_MM) -> Surface:
         label = label.copy()
         label[inside] = names[closest] - 10
     return Surface(points, triangles, label)
+
+
+def _snapped(surface: Surface, value: FloatArray, share: float = 0.3) -> tuple[Surface, FloatArray]:
+    """Wall points near the curve value = 0 moved along an edge onto it, so that it cuts off no slivers; and the values."""
+    edges, of_triangle = unique_edges(surface.triangles)
+    wall = np.zeros(len(surface.points), dtype=bool)
+    wall[surface.triangles[surface.label == WALL]] = True
+    wall[surface.triangles[surface.label != WALL]] = False
+    both = np.vstack([edges, edges[:, ::-1]])
+    fa, fb = value[both[:, 0]], value[both[:, 1]]
+    step = np.where(fa * fb < 0, fa / np.where(fa == fb, 1.0, fa - fb), np.inf)
+    step[~wall[both[:, 0]]] = np.inf
+    order = np.argsort(-step, kind="stable")
+    best = np.full(len(surface.points), np.inf)
+    other = np.zeros(len(surface.points), dtype=np.int64)
+    best[both[order, 0]], other[both[order, 0]] = step[order], both[order, 1]
+    close = np.flatnonzero(best < share)
+    points, value = surface.points.copy(), value.copy()
+    points[close] += best[close, None] * (surface.points[other[close]] - surface.points[close])
+    value[close] = 0.0
+    return Surface(points, surface.triangles, surface.label), value
 
 
 def _distance(surface: Surface, ids: IntArray) -> FloatArray:
