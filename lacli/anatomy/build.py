@@ -1,0 +1,295 @@
+"""The road from an image or a surface to an anatomy bundle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from lacli.anatomy import branches, clipping, coordinates, extraction, landmarks, paths
+from lacli.anatomy.bundle import OPENINGS, PLANES, Bundle
+from lacli.anatomy.image import Image
+from lacli.anatomy.landmarks import LPS, Axes, Landmarks, Opening
+from lacli.anatomy.shell import mesh_shell
+from lacli.anatomy.surface import Surface
+from lacli.errors import AnatomyError
+
+FloatArray = NDArray[np.float64]
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the user chooses: cell size and wall thickness (mm), element order, ring width (mm), fibre rule."""
+
+    cell_size_mm: float = 2.0
+    thickness_mm: float = 2.0
+    order: int = 2
+    ring_width_mm: float = 2.5
+    fibre_rule: str = "laplace-dirichlet"
+    smoothing_mm: float | None = None
+    layers: int | None = None
+
+
+@dataclass(frozen=True)
+class Built:
+    """The bundle, the landmarks used, the closed cavity surface, and what was done in words."""
+
+    bundle: Bundle
+    landmarks: Landmarks
+    cavity: Surface
+    notes: tuple[str, ...]
+    measures: dict[str, Any] = field(default_factory=dict)
+
+
+def from_labels(labels: Image, la: int, lv: int | None, options: Options, given: Landmarks | None = None, say: Say = print) -> Built:
+    """Bundle from a label map; ``la`` and ``lv`` are the labels of the left atrium's and the left ventricle's blood."""
+    say("finding the blood pool")
+    pool = extraction.blood_pool(labels, la)
+    notes = list(pool.notes)
+    say("smoothing")
+    grid = float(np.clip(0.4 * options.cell_size_mm, 0.4, 0.8))
+    surface = extraction.surface_of(pool.mask, options.smoothing_mm, grid)
+    contact = None if lv is None else lv_contact(labels, lv, surface)
+    if lv is not None and contact is None:
+        notes.append(f"label {lv} does not touch the atrium: the mitral plane is found from the shape")
+    return _from_closed(surface, contact, LPS, options, given, say, notes, pool.mask)
+
+
+def lv_contact(labels: Image, lv: int, surface: Surface) -> FloatArray | None:
+    """(k, 3) mm: points of the surface that face the ventricle's voxels; None where fewer than an annulus would give.
+
+    The distance allowed grows from 1.5 voxels to 6 mm, for maps that leave room for the leaflets.
+    """
+    where = labels.array == lv
+    if not where.any():
+        raise AnatomyError(f"label {lv} (left ventricle) has no voxel in the image.")
+    shell = where & ~ndimage.binary_erosion(where)
+    voxels = labels.to_world(np.argwhere(shell)[:, ::-1])
+    low, high = surface.points.min(axis=0) - 8.0, surface.points.max(axis=0) + 8.0
+    voxels = voxels[((voxels > low) & (voxels < high)).all(axis=1)]
+    if len(voxels) == 0:
+        return None
+    distance, _ = cKDTree(voxels).query(surface.points, distance_upper_bound=8.0)
+    point_area = np.bincount(surface.triangles.ravel(), weights=np.repeat(surface.areas() / 3.0, 3), minlength=len(surface.points))
+    for reach in (1.5 * float(labels.spacing.max()), 2.0, 3.0, 4.5, 6.0):
+        near = distance <= reach
+        if point_area[near].sum() >= 200.0:
+            return surface.points[near]
+    return None
+
+
+def _from_closed(
+    surface: Surface,
+    contact: FloatArray | None,
+    axes: Axes | None,
+    options: Options,
+    given: Landmarks | None,
+    say: Say,
+    notes: list[str],
+    mask: Image | None,
+) -> Built:
+    say("finding valve, veins and appendage")
+    found = find_landmarks(surface, contact, axes, given, mask)
+    notes += found.notes
+    say("cutting")
+    cavity, used = clip(surface, found, options.ring_width_mm)
+    say("meshing the wall")
+    bundle = mesh_shell(
+        cavity, options.thickness_mm, options.cell_size_mm, order=options.order, layers=options.layers, ring_width_mm=options.ring_width_mm
+    )
+    say("coordinates, regions, fibres")
+    described = coordinates.describe(bundle, used.sides, options.fibre_rule)
+    if described.islands:
+        notes.append(f"{described.islands} floating elements took the region around them")
+    measures: dict[str, Any] = {
+        "surface_volume_ml": surface.volume_ml(),
+        "clipped_surface_volume_ml": cavity.volume_ml(),
+        "cavity_volume_ml": described.bundle.cavity_volume_ml(),
+    }
+    if mask is not None:
+        measures["voxel_volume_ml"] = float(mask.array.sum()) * mask.voxel_ml
+        measures["clipped_voxel_volume_ml"] = clipped_voxels_ml(mask, cavity)
+    return Built(described.bundle, used, cavity, tuple(notes), measures)
+
+
+def find_landmarks(
+    surface: Surface, contact: FloatArray | None, axes: Axes | None, given: Landmarks | None = None, mask: Image | None = None
+) -> Landmarks:
+    """Every opening of a closed surface, found from its shape, its contact with the ventricle, and what was given."""
+    if given is not None and set(OPENINGS) - {"appendage"} <= set(given.openings):
+        return given
+    field = voxel_field(surface, 1.0) if mask is None else extraction.smooth_field(mask, max(0.8, 0.8 * float(mask.spacing.max())), 1.0)
+    skeleton = branches.find(field)
+    notes: list[str] = []
+    if given is not None and "mv" in given.openings:
+        mitral = given.openings["mv"]
+    elif contact is not None:
+        mitral = mitral_from_contact(surface, contact)
+    else:
+        mitral = mitral_from_shape(surface, skeleton)
+        notes.append("the mitral plane was found from the shape alone: look at it, and correct it in landmarks.toml")
+    named, confidence, words = landmarks.name_branches(skeleton, mitral.centre, axes)
+    notes += words
+    openings = {"mv": mitral}
+    for name in sorted(named, key=lambda n: (OPENINGS.index(n) if n in OPENINGS else 99, n)):
+        openings[name] = landmarks.ostium(name, named[name], confidence[name], ray_caster(field))
+    return landmarks.override(Landmarks(openings, {}, tuple(notes)), given)
+
+
+def voxel_field(surface: Surface, spacing_mm: float) -> Image:
+    """A closed surface as a field, about 1 inside and 0 outside, on an isotropic grid."""
+    import vtk
+    from vtk.util.numpy_support import vtk_to_numpy
+
+    from lacli.anatomy.pictures import polydata
+
+    low = surface.points.min(axis=0) - 5.0 * spacing_mm
+    size = np.ceil((np.ptp(surface.points, axis=0)) / spacing_mm).astype(int) + 10
+    stencil = vtk.vtkPolyDataToImageStencil()
+    stencil.SetInputData(polydata(surface))
+    stencil.SetOutputSpacing(spacing_mm, spacing_mm, spacing_mm)
+    stencil.SetOutputOrigin(*low)
+    stencil.SetOutputWholeExtent(0, int(size[0]) - 1, 0, int(size[1]) - 1, 0, int(size[2]) - 1)
+    paint = vtk.vtkImageStencilToImage()
+    paint.SetInputConnection(stencil.GetOutputPort())
+    paint.SetInsideValue(1)
+    paint.SetOutsideValue(0)
+    paint.SetOutputScalarTypeToUnsignedChar()
+    paint.Update()
+    array = vtk_to_numpy(paint.GetOutput().GetPointData().GetScalars()).reshape(size[::-1]).astype(np.float32)
+    smooth = ndimage.gaussian_filter(array, 0.7)
+    return Image(smooth, np.full(3, spacing_mm), low, np.eye(3))
+
+
+def ray_caster(field: Image, reach_mm: float = 25.0, step_mm: float = 0.25) -> Callable[[FloatArray, FloatArray], FloatArray]:
+    """Distances (k,) mm from an inner point to where the field falls below one half along unit directions (k, 3)."""
+    steps = np.arange(step_mm, reach_mm, step_mm)
+
+    def cast(centre: FloatArray, directions: FloatArray) -> FloatArray:
+        at = centre + steps[None, :, None] * directions[:, None]
+        index = field.to_index(at.reshape(-1, 3))[:, ::-1].T
+        value = ndimage.map_coordinates(field.array, index, order=1, mode="constant").reshape(len(directions), -1)
+        outside = value < 0.5
+        first = np.where(outside.any(axis=1), np.argmax(outside, axis=1), len(steps) - 1)
+        rows = np.arange(len(directions))
+        after, before = value[rows, first], np.where(first > 0, value[rows, np.maximum(first - 1, 0)], 1.0)
+        share = np.clip((before - 0.5) / np.maximum(before - after, 1e-6), 0.0, 1.0)
+        return steps[first] - step_mm * (1.0 - share)
+
+    return cast
+
+
+def mitral_from_contact(surface: Surface, contact: FloatArray) -> Opening:
+    """The plane through the border of the patch that faces the ventricle; its normal points there."""
+    near = np.zeros(len(surface.points), dtype=bool)
+    near[cKDTree(surface.points).query(contact)[1]] = True
+    patch = near[surface.triangles].all(axis=1)
+    _, part = paths.triangle_components(surface.triangles, patch)
+    if not patch.any():
+        raise AnatomyError("the ventricle touches the atrium in scattered points only; give [mv] in landmarks.toml.")
+    area = surface.areas()
+    patch = part == int(np.argmax(np.bincount(part[patch], weights=area[patch])))
+    vectors = surface.area_vectors()[patch]
+    outward = vectors.sum(axis=0)
+    outward /= np.linalg.norm(outward)
+    edge = paths.border_edges(surface.triangles, patch)
+    rim = max(paths.loops(edge), key=lambda loop: paths.perimeter(surface.points, loop))
+    ring = surface.points[rim]
+    centre = ring.mean(axis=0)
+    _, _, axes = np.linalg.svd(ring - centre)
+    normal = axes[2] * np.sign(axes[2] @ outward)
+    if normal @ outward < 0.5:  # a ragged border: the patch's own mean direction is safer
+        normal = outward
+    middle = surface.points[surface.triangles[patch]].mean(axis=1)
+    beyond = middle[int(np.argmax((middle - centre) @ normal))]
+    size = float(area[patch].sum())
+    ratio = float(np.linalg.norm(vectors.sum(axis=0)) / size)
+    # the plane must leave an opening: at least 1 mm under the patch's top
+    top = float(((middle - centre) @ normal).max())
+    if top < 1.0:
+        centre = centre - (1.0 - top) * normal
+    return Opening("mv", centre, normal, beyond, float(2 * np.sqrt(size / np.pi)), round(min(0.99, ratio), 2), "contact with the left ventricle")
+
+
+def mitral_from_shape(surface: Surface, skeleton: branches.Skeleton) -> Opening:
+    """Without a ventricle: the largest flat patch of the surface, else the side opposite the veins."""
+    normals, area = surface.normals(), surface.areas()
+    middle = surface.points[surface.triangles].mean(axis=1)
+    ostia = np.array([b.centre for b in skeleton.branches]) if skeleton.branches else skeleton.middle[None]
+    down = skeleton.middle - ostia.mean(axis=0)
+    down /= max(float(np.linalg.norm(down)), 1e-9)
+    best: tuple[float, FloatArray, FloatArray] | None = None
+    facing = np.flatnonzero(normals @ down > 0.2)
+    for seed in facing[:: max(1, len(facing) // 150)]:
+        n, c = normals[seed], middle[seed]
+        flat = (normals @ n > 0.97) & (np.abs((middle - c) @ n) < 0.6)
+        size = float(area[flat].sum())
+        if best is None or size > best[0]:
+            best = (size, n, np.average(middle[flat], axis=0, weights=area[flat]))
+    if best is not None and best[0] > 350.0:
+        size, normal, centre = best
+        top = ((middle - centre) @ normal)[np.linalg.norm(middle - centre, axis=1) < np.sqrt(size)].max()
+        centre = centre + (min(float(top), 0.0) - 0.7) * normal
+        return Opening("mv", centre, normal, centre + 2.0 * normal, float(2 * np.sqrt(size / np.pi)), 0.6, "largest flat patch")
+    reach = float(((surface.points - skeleton.middle) @ down).max())
+    centre = skeleton.middle + 0.75 * reach * down
+    beyond = surface.points[int(np.argmax((surface.points - skeleton.middle) @ down))]
+    return Opening("mv", centre, down, beyond, 30.0, 0.2, "opposite the veins")
+
+
+def clip(surface: Surface, found: Landmarks, ring_width_mm: float) -> tuple[Surface, Landmarks]:
+    """Cut all openings; vessels are cut a ring's width beyond their ostium where they are long enough.
+
+    Veins beyond four are cut and closed as wall.
+    """
+    used = {}
+    for name, opening in found.openings.items():
+        if name == "mv" or opening.source == "landmarks file":
+            used[name] = opening
+            continue
+        room = float((opening.beyond - opening.centre) @ opening.normal) - 2.0
+        shift = float(np.clip(ring_width_mm, 0.0, max(room, 0.0)))
+        used[name] = replace(opening, centre=opening.centre + shift * opening.normal)
+    order = sorted(used, key=lambda n: (n == "mv", n))
+    for name in order:
+        opening = used[name]
+        label = PLANES.get(name, 0)
+        surface = clipping.cut(surface, opening.centre, opening.normal, opening.beyond, label, name.upper())
+    return surface, Landmarks({name: used[name] for name in found.openings}, found.sides, found.notes)
+
+
+def clipped_voxels_ml(mask: Image, cavity: Surface) -> float:
+    """Volume of the mask's voxels on the inner side of the planes: voxels nearer to no removed piece than to the cavity.
+
+    A voxel counts if it is inside the mask and not past a plane within that plane's own opening (and what hangs beyond it).
+    """
+    kept = mask.array.copy()
+    index = np.argwhere(kept)[:, ::-1]
+    world = mask.to_world(index)
+    past = np.zeros(len(world), dtype=bool)
+    middle = cavity.points[cavity.triangles].mean(axis=1)
+    for name in OPENINGS:
+        plane = cavity.label == PLANES[name]
+        if not plane.any():
+            continue
+        normal = cavity.area_vectors()[plane].sum(axis=0)
+        normal /= np.linalg.norm(normal)
+        centre = np.average(middle[plane], axis=0, weights=cavity.areas()[plane])
+        height = (world - centre) @ normal
+        beyond = np.zeros(mask.array.shape, dtype=bool)
+        beyond[tuple(index[height > 0][:, ::-1].T)] = True
+        parts, _ = ndimage.label(beyond)
+        of_voxel = parts[tuple(index[:, ::-1].T)]
+        radius = np.linalg.norm(world - centre - height[:, None] * normal, axis=1)
+        size = np.sqrt(cavity.areas()[plane].sum() / np.pi)
+        touching = (height > 0) & (height < 1.5 * mask.spacing.max()) & (radius < size)
+        names, counts = np.unique(of_voxel[touching], return_counts=True)
+        if len(names):
+            past |= of_voxel == names[int(np.argmax(counts))]
+    return float((~past).sum()) * mask.voxel_ml
