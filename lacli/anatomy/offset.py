@@ -9,9 +9,9 @@ import numpy as np
 
 from lacli.anatomy.cells import scaled_jacobian
 from lacli.anatomy.frame import unit
-from lacli.anatomy.prisms import split_prisms
+from lacli.anatomy.prisms import shorter_diagonals, split_prisms
 from lacli.anatomy.projection import Reference, border_edges, side_of
-from lacli.anatomy.surface import FloatArray, IntArray, Surface
+from lacli.anatomy.surface import FloatArray, IntArray, Surface, unique_edges
 
 MAX_MITRE = 1.7
 NORMAL_SMOOTHING_MM = 1.5
@@ -124,13 +124,14 @@ def _untangle(surface: Surface, edges: IntArray, vector: FloatArray) -> FloatArr
     """Vectors evened out with their neighbours' where the cells between are poor, and shortened where that is not enough."""
     n = len(surface.points)
     bottom, top = surface.triangles, surface.triangles + n
-    tets = split_prisms(bottom, top)
+    _, of_triangle = unique_edges(bottom)
     degree = np.maximum(np.bincount(edges.ravel(), minlength=n), 1)[:, None]
     height = np.linalg.norm(vector, axis=1)
     best, best_score = vector, -np.inf
     on_rim = np.zeros(n, dtype=bool)
     on_rim[border_edges(surface.triangles, side_of(surface.label))] = True
     for step in range(40):
+        tets = split_prisms(bottom, top, shorter_diagonals(surface.points, vector, bottom, edges, of_triangle))
         quality = scaled_jacobian(np.vstack([surface.points, surface.points + vector]), tets)
         # a flat wall on long cells is poor by its proportions alone: ask for less there
         span = np.sqrt(np.repeat(surface.areas(), 3) * 2.3)

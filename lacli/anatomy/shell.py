@@ -15,7 +15,7 @@ from lacli.anatomy.bundle import ENDO, EPI, OPENINGS, OTHER, PLANES, REGIONS, TE
 from lacli.anatomy.cells import boundary_faces, curved_jacobian, edges_of, row_keys, scaled_jacobian
 from lacli.anatomy.frame import AtrialFrame, frame_from_openings, height, sectors, sweep, two_layer_fibres, unit
 from lacli.anatomy.offset import Offset, offset_surface
-from lacli.anatomy.prisms import split_prisms
+from lacli.anatomy.prisms import shorter_diagonals, split_prisms
 from lacli.anatomy.projection import Reference
 from lacli.anatomy.remesh import keep_volume, remesh_on
 from lacli.anatomy.rims import RING_WIDTH_MM, label_rings
@@ -85,8 +85,9 @@ def _assemble(surface: Surface, edges: IntArray, of_triangle: IntArray, off: Off
     n, e = len(surface.points), len(edges)
     level = np.arange(layers + 1) / layers
     points = np.concatenate([surface.points + s * off.vector for s in level])
+    starts = shorter_diagonals(surface.points, off.vector, surface.triangles, edges, of_triangle)
     tets = np.concatenate(
-        [split_prisms(surface.triangles + k * n, surface.triangles + (k + 1) * n) for k in range(layers)]
+        [split_prisms(surface.triangles + k * n, surface.triangles + (k + 1) * n, starts) for k in range(layers)]
     )
     prism = np.tile(np.repeat(np.arange(len(surface.triangles)), 3), layers)
     label = surface.label[prism]
