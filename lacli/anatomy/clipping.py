@@ -6,12 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lacli.anatomy import paths
+from lacli.anatomy.remesh import split_at
 from lacli.anatomy.surface import Surface, compact
 from lacli.errors import AnatomyError
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+SNAP = 0.2  # of the mean edge: points nearer than that are moved onto the plane, so that no slivers arise
 
 
 def cut(surface: Surface, centre: FloatArray, normal: FloatArray, beyond: FloatArray, label: int, what: str) -> Surface:
@@ -37,43 +39,29 @@ def cut(surface: Surface, centre: FloatArray, normal: FloatArray, beyond: FloatA
             f"the cutting plane of the {what} would remove more than half of the atrium; "
             "turn its normal (out of the atrium) or move its centre in landmarks.toml."
         )
-    field = np.where(going, np.maximum(height, 1e-9), np.minimum(height, -1e-9))
-    points, triangles, labels, side = split(surface, field)
-    kept = Surface(points, triangles[~side], labels[~side])
+    zone = np.zeros(len(surface.points), dtype=bool)
+    zone[surface.triangles[part == chosen]] = True
+    kept = _split(surface, np.where(zone & (past == going), height, -1.0), normal)
     return compact(_close(kept, normal, label, what))
 
 
-def split(surface: Surface, field: FloatArray) -> tuple[FloatArray, IntArray, IntArray, BoolArray]:
-    """Cut triangles where the point field (n,) changes sign: points, triangles, labels, and (t,) whether field > 0."""
+def _split(surface: Surface, field: FloatArray, normal: FloatArray) -> Surface:
+    """The part where the field (n,), a height over a plane along ``normal``, is not positive; points near zero are put on it."""
     edges, _, of = paths.edge_table(surface.triangles)
-    a, b = field[edges[:, 0]], field[edges[:, 1]]
-    crossed = (a > 0) != (b > 0)
-    weight = np.where(crossed, a / np.where(crossed, a - b, 1.0), 0.0)
-    weight = np.clip(weight, 0.02, 0.98)  # no points of zero distance; 2 % of an edge of the fine surface
+    typical = float(np.linalg.norm(surface.points[edges[:, 0]] - surface.points[edges[:, 1]], axis=1).mean())
+    close = np.abs(field) < SNAP * typical
+    points = surface.points - np.where(close, field, 0.0)[:, None] * normal
+    field = np.where(close, 0.0, field)
+    first, second = field[edges[:, 0]], field[edges[:, 1]]
+    crossed = first * second < 0
+    share = (first / np.where(crossed, first - second, 1.0))[crossed, None]
     new = np.full(len(edges), -1, dtype=np.int64)
-    new[crossed] = len(surface.points) + np.arange(int(crossed.sum()))
-    at = surface.points[edges[crossed, 0]] + weight[crossed, None] * (surface.points[edges[crossed, 1]] - surface.points[edges[crossed, 0]])
-    points = np.vstack([surface.points, at])
-    middle = new[of]
-    count = (middle >= 0).sum(axis=1)
-    whole = count == 0
-    triangles, labels = [surface.triangles[whole]], [surface.label[whole]]
-    positive = [field[surface.triangles[whole, 0]] > 0]
-    chosen = np.flatnonzero(count == 2)
-    if len(chosen):
-        # turn so that the lone corner comes first: its sides 01 and 20 are cut
-        t, m = surface.triangles[chosen], middle[chosen]
-        lone = (np.argmin(m >= 0, axis=1) + 2) % 3
-        index = (lone[:, None] + np.arange(3)) % 3
-        corner, p, q = np.take_along_axis(t, index, axis=1).T
-        side = np.take_along_axis(m, index, axis=1)
-        first, last = side[:, 0], side[:, 2]
-        for piece, of_corner in (((corner, first, last), True), ((first, p, q), False), ((first, q, last), False)):
-            triangles.append(np.column_stack(piece))
-            labels.append(surface.label[chosen])
-            is_positive = field[corner] > 0
-            positive.append(is_positive if of_corner else ~is_positive)
-    return points, np.vstack(triangles), np.concatenate(labels), np.concatenate(positive)
+    new[crossed] = len(points) + np.arange(int(crossed.sum()))
+    points = np.vstack([points, points[edges[crossed, 0]] * (1 - share) + points[edges[crossed, 1]] * share])
+    triangles, labels = split_at(surface.triangles, surface.label, new[of])
+    value = np.concatenate([field, np.zeros(int(crossed.sum()))])[triangles]
+    keep = (value <= 0).all(axis=1) & (value < 0).any(axis=1)
+    return Surface(points, triangles[keep], labels[keep])
 
 
 def _close(surface: Surface, normal: FloatArray, label: int, what: str) -> Surface:

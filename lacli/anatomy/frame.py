@@ -40,12 +40,12 @@ def unit(v: FloatArray) -> FloatArray:
 def frame_from_openings(centre: FloatArray, openings: dict[str, FloatArray]) -> AtrialFrame:
     """Axes from the cavity's centre and the openings' centres (each (3,) mm, keys of OPENINGS).
 
-    roof: from the mitral valve's centre to the cavity's; left: from the right veins to the left ones, perpendicular to
-    roof; anterior: perpendicular to both, on the side away from the inferior veins' mean (they open posteriorly).
+    left: from the right veins to the left ones; roof: from the mitral valve's centre to the cavity's, perpendicular to
+    left (the valve lies to the left, so the line through it alone would tilt the roof to the right); anterior: perpendicular to both, on the side away from the inferior veins' mean (they open posteriorly).
     """
-    roof = unit(centre - openings["mv"])
-    left = (openings["lspv"] + openings["lipv"]) / 2 - (openings["rspv"] + openings["ripv"]) / 2
-    left = unit(left - (left @ roof) * roof)
+    left = unit((openings["lspv"] + openings["lipv"]) / 2 - (openings["rspv"] + openings["ripv"]) / 2)
+    roof = centre - openings["mv"]
+    roof = unit(roof - (roof @ left) * left)
     anterior = np.cross(roof, left)
     back = (openings["lipv"] + openings["ripv"]) / 2 - centre
     if anterior @ back > 0:
@@ -64,8 +64,9 @@ def sectors(frame: AtrialFrame, points: FloatArray) -> IntArray:
 
 
 def height(frame: AtrialFrame, points: FloatArray) -> FloatArray:
-    """Pericardium coordinate (n,): height over the mitral centre along the roof axis, 0 there and 1 at the highest point."""
-    h = (points - frame.mitral_centre) @ frame.roof
+    """Pericardium coordinate (n,): height over the mitral centre along the line from it
+    through the cavity's centre, 0 there and 1 at the highest point."""
+    h = (points - frame.mitral_centre) @ unit(frame.centre - frame.mitral_centre)
     return np.clip(h / h.max(), 0.0, 1.0)
 
 
@@ -83,7 +84,7 @@ def two_layer_fibres(frame: AtrialFrame, normals: FloatArray, transmural: FloatA
     normals (m, 3): unit, across the wall. Where the normal is along the roof axis (the roof's top, the valve) the
     rule has no direction of its own and follows the left-right axis.
     """
-    around = np.cross(frame.roof, normals)
+    around = np.cross(unit(frame.centre - frame.mitral_centre), normals)
     weight = np.linalg.norm(around, axis=1, keepdims=True)
     spare = unit(frame.left - (normals @ frame.left)[:, None] * normals)
     around = unit(np.where(weight > 0.1, around, spare))

@@ -58,9 +58,14 @@ def offset_surface(
         return Offset(vector, chord, vector[edges].mean(axis=1), ratio < 0.95)
     middle, edge_sides = _middles(surface, edges, chord, reference)
     free = _vectors(middle, edge_sides, reference, thickness(middle)) if outer is None else vector[edges].mean(axis=1)
-    changed = (turned | (ratio < 0.98))[edges].any(axis=1)
     mean = vector[edges].mean(axis=1)
-    mean *= (np.linalg.norm(vector, axis=1)[edges].mean(axis=1) / np.maximum(np.linalg.norm(mean, axis=1), 1e-12))[:, None]
+    # from a rim inward the mitre fades: the middle keeps the wall's thickness, and the chord's place along it
+    fading = (sides[edges, 1] >= 0).sum(axis=1) == 1
+    normal = unit(free)
+    faded = mean + np.einsum("ij,ij->i", free - mean, normal)[:, None] * normal
+    free = np.where(fading[:, None], faded, free)
+    changed = (turned | (ratio < 0.98))[edges].any(axis=1) & ~fading
+    mean *= (length[edges].mean(axis=1) / np.maximum(np.linalg.norm(mean, axis=1), 1e-12))[:, None]
     return Offset(vector, middle, np.where(changed[:, None], mean, free), ratio < 0.95)
 
 

@@ -195,7 +195,9 @@ def _as_is(mesh: TaggedMesh, order: int, thickness: float, ring_width: float, wh
         tets = np.vstack([tets, plate.tets])
         region = np.append(region, np.full(len(plate.tets), PLANES[name]))
         caps.append((plate.cap, PLANES[name]))
+        # across the cut face, or from its inner edge through the wall's thickness
         near = cKDTree(mesh.points[np.union1d(plate.annulus, mesh.rims[name])]).query(middle)[0]
+        near = np.minimum(near, cKDTree(mesh.points[mesh.rims[name]]).query(middle)[0] - 0.5 * thickness)
         closer = (near < ring_width) & (near < ring_distance)
         region[: len(middle)][closer] = RINGS[name]
         ring_distance = np.minimum(ring_distance, near)
