@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -65,7 +66,7 @@ def transient_figure(table: Path, picture: Path) -> Path:
         figure, axes = plt.subplots(3, 1, figsize=(4.6, 5.6), sharex=True, height_ratios=[1, 1, 1.6])
         pressure, volume, displacement = axes
         mark = "o" if len(frame) <= 30 else ""
-        line = {"marker": mark, "markersize": 3, "linewidth": 1.6}
+        line = {"marker": mark, "markersize": 3, "linewidth": 1.6, "clip_on": False}
         pressure.plot(frame["time"], frame["pressure_mmhg"], color="black", **line)
         pressure.set_ylabel("pressure (mmHg)")
         volume.plot(frame["time"], frame["volume_ml"], color="black", **line)
@@ -134,25 +135,32 @@ def shape_figure(ed_file: Path, es_file: Path, picture: Path) -> Path:
     es.point_data["distance"] = np.linalg.norm(np.asarray(es.point_data["displacement"], dtype=float), axis=1)
     front, up = _viewing_directions(ed)
     top = float(es.point_data["distance"].max()) or 1.0
-    shapes = [_surface(ed), _surface(es), _surface(es)]
-    half_width = 0.53 * max(float(np.linalg.norm(np.ptp(s.points, axis=0))) for s in shapes)
-    centre = (ed.points.min(axis=0) + ed.points.max(axis=0)) / 2
-    titles = ["end-diastole", "end-systole", "end-systole, displacement"]
+    frame = _frame(np.vstack([ed.points, es.points]), front, up)
+    surfaces = [_surface(ed), _surface(es)]
     with paper():
         import matplotlib.pyplot as plt
 
-        figure, axes = plt.subplots(2, 3, figsize=(7.2, 5.2))
-        for row, sign in enumerate((1.0, -1.0)):
-            for column, shape in enumerate(shapes):
-                image = _render(shape, column == 2, top, centre, sign * front, up, half_width)
-                axes[row, column].imshow(image)
-                axes[row, column].set(xticks=[], yticks=[])
-                axes[row, column].spines[:].set_visible(False)
-                if row == 0:
-                    axes[row, column].set_title(titles[column])
-            axes[row, 0].set_ylabel("from in front" if row == 0 else "from behind")
-        _scale_bar(axes[1, 0], half_width)
-        _legends(figure, axes, top)
+        height = 2.3 * frame.height / frame.width
+        figure = plt.figure(figsize=(7.2, 2 * height + 1.1))
+        grid = figure.add_gridspec(3, 3, height_ratios=[height, height, 0.75])
+        for row, (sign, side) in enumerate(((1.0, "from in front"), (-1.0, "from behind"))):
+            view = frame.seen_from(sign)
+            pictures = [_render(surfaces[0], False, top, view), *(_render(surfaces[1], how, top, view) for how in (False, True))]
+            axes = [figure.add_subplot(grid[row, column]) for column in range(3)]
+            for axis, image in zip(axes, pictures, strict=True):
+                axis.imshow(image)
+                axis.set(xticks=[], yticks=[])
+                axis.spines[:].set_visible(False)
+            for axis in axes[1:]:
+                axis.contour((pictures[0] < 250).any(axis=2), [0.5], colors="black", linewidths=0.8)
+            axes[0].set_ylabel(side)
+            if row == 0:
+                for axis, title in zip(
+                    axes, ("end-diastole (ED)", "end-systole (ES), ED outlined", "ES, displacement"), strict=True
+                ):
+                    axis.set_title(title)
+        _scale_bar(axes[0], frame)
+        _legends(figure, grid, top)
         with replacing(picture) as temporary:
             figure.savefig(temporary)
         plt.close(figure)
@@ -199,25 +207,52 @@ def _viewing_directions(shape: Any) -> tuple[FloatArray, FloatArray]:
     return front / np.linalg.norm(front), up
 
 
-def _render(
-    surface: Any, by_distance: bool, top: float, centre: FloatArray, towards: FloatArray, up: FloatArray, half_width: float
-) -> NDArray[np.uint8]:
+@dataclass(frozen=True)
+class _Frame:
+    """What a picture shows: ``centre``, looked at from ``towards`` with ``up`` up; width and height in mm."""
+
+    centre: FloatArray
+    towards: FloatArray
+    up: FloatArray
+    width: float
+    height: float
+
+    def seen_from(self, sign: float) -> _Frame:
+        return replace(self, towards=sign * self.towards)
+
+    @property
+    def pixels(self) -> tuple[int, int]:
+        return _PIXELS, round(_PIXELS * self.height / self.width)
+
+
+def _frame(points: FloatArray, front: FloatArray, up: FloatArray) -> _Frame:
+    """The smallest frame, the same from in front and from behind, that shows all points with a margin."""
+    axes = np.array([np.cross(up, front), up, front])
+    seen = points @ axes.T
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    width, height, _ = 1.06 * (high - low)
+    return _Frame((low + high) / 2 @ axes, front, up, float(max(width, 0.5 * height)), float(max(height, 0.5 * width)))
+
+
+def _render(surface: Any, by_distance: bool, top: float, frame: _Frame) -> NDArray[np.uint8]:
+    """A picture (height, width, 3) of ``surface``, by distance or by region, on white."""
     import pyvista as pv
     from vtkmodules.vtkCommonCore import vtkLogger
 
     # without a display VTK first tries X11 and says that it is not there
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
-    plotter = pv.Plotter(off_screen=True, window_size=(_PIXELS, _PIXELS))
+    plotter = pv.Plotter(off_screen=True, window_size=frame.pixels)
     plotter.set_background("white")
-    look = {"smooth_shading": True, "split_sharp_edges": True, "feature_angle": 40.0, "specular": 0.1, "ambient": 0.15}
+    look = {"smooth_shading": True, "split_sharp_edges": True, "feature_angle": 40.0, "ambient": 0.35, "diffuse": 0.75}
     if by_distance:
         plotter.add_mesh(surface, scalars="distance", cmap="viridis", clim=(0.0, top), show_scalar_bar=False, **look)
     else:
         colours = _region_colours(np.asarray(surface.cell_data["region"]))
         plotter.add_mesh(surface, scalars=colours, rgb=True, show_scalar_bar=False, **look)
     plotter.enable_parallel_projection()
-    plotter.camera_position = [tuple(centre + 10 * half_width * towards), tuple(centre), tuple(up)]
-    plotter.camera.parallel_scale = half_width
+    away = 5 * (frame.width + frame.height)
+    plotter.camera_position = [tuple(frame.centre + away * frame.towards), tuple(frame.centre), tuple(frame.up)]
+    plotter.camera.parallel_scale = frame.height / 2
     plotter.reset_camera_clipping_range()
     plotter.enable_anti_aliasing("ssaa")
     image = plotter.screenshot(return_img=True)
@@ -235,24 +270,30 @@ def _region_colours(region: NDArray[Any]) -> NDArray[np.uint8]:
     return (255 * colour).astype(np.uint8)
 
 
-def _scale_bar(axis: Any, half_width: float) -> None:
-    length = 20.0 if half_width > 15 else 5.0
-    pixels = length / (2 * half_width) * _PIXELS
-    start, height = 0.03 * _PIXELS, 0.97 * _PIXELS
-    axis.plot([start, start + pixels], [height, height], color="black", linewidth=2, solid_capstyle="butt")
-    axis.text(start + pixels / 2, height - 12, f"{length:g} mm", ha="center", va="bottom", fontsize=8)
+def _scale_bar(axis: Any, frame: _Frame) -> None:
+    length = 20.0 if frame.width > 30 else 5.0
+    pixels = length / frame.width * _PIXELS
+    right, below = 0.02 * _PIXELS, 1.04 * frame.pixels[1]
+    axis.autoscale(False)
+    axis.plot([right, right + pixels], [below, below], color="black", linewidth=2, solid_capstyle="butt", clip_on=False)
+    axis.text(right + pixels + 10, below, f"{length:g} mm", ha="left", va="center", fontsize=8)
 
 
-def _legends(figure: Any, axes: Any, top: float) -> None:
+def _legends(figure: Any, grid: Any, top: float) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
     from matplotlib.patches import Patch
 
     patches = [Patch(color=colour, label=name) for name, colour in REGION_COLOURS.items()]
     patches += [Patch(color=RING_COLOUR, label="rings"), Patch(color=PLANE_COLOUR, label="valve planes")]
-    figure.legend(handles=patches, loc="outside lower left", ncols=4, fontsize=8, handlelength=1.2)
-    bar = ScalarMappable(Normalize(0.0, top), "viridis")
-    figure.colorbar(bar, ax=axes[:, 2], location="bottom", label="displacement from ED (mm)", shrink=0.8, pad=0.02)
+    left = figure.add_subplot(grid[2, :2])
+    left.axis("off")
+    left.legend(handles=patches, loc="lower left", ncols=4, fontsize=8, handlelength=1.2)
+    right = figure.add_subplot(grid[2, 2])
+    right.axis("off")
+    bar = right.inset_axes((0.05, 0.55, 0.9, 0.22))
+    figure.colorbar(ScalarMappable(Normalize(0.0, top), "viridis"), cax=bar, orientation="horizontal")
+    bar.set_xlabel("displacement from ED (mm)")
 
 
 def _main() -> None:
