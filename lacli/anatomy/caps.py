@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from lacli.anatomy.cells import volumes
+from lacli.anatomy.cells import row_keys, volumes
 from lacli.anatomy.frame import unit
-from lacli.anatomy.prisms import split_prisms
-from lacli.anatomy.surface import FloatArray, IntArray
+from lacli.anatomy.prisms import shorter_diagonals, split_prisms
+from lacli.anatomy.surface import FloatArray, IntArray, unique_edges
 from lacli.errors import AnatomyError
 
 
@@ -55,28 +55,58 @@ def extrude_plate(points: FloatArray, rim: IntArray, outer_faces: IntArray, cent
     if normal @ (middle - centre) < 0:
         normal = -normal
     inner, cap = triangulate_loop(points, rim, normal)
+    # a cap's triangle between three rim points may be a face of the wall already: it must not be glued to it
+    size = len(points) + len(inner)
+    shared = np.isin(row_keys(cap, size), row_keys(outer_faces, size))
+    if shared.any():
+        ear = cap[shared]
+        middle_ids = size + np.arange(len(ear))
+        # its middle goes a little inward, so that a flat ear gives no flat cells
+        reach = np.linalg.norm(points[ear[:, 0]] - points[ear[:, 1]], axis=1)
+        inner = np.vstack([inner, points[ear].mean(axis=1) - 0.4 * reach[:, None] * normal])
+        fans = [np.column_stack([ear[:, k], ear[:, (k + 1) % 3], middle_ids]) for k in range(3)]
+        outer_faces = outer_faces[~np.isin(row_keys(outer_faces, size), row_keys(ear, size))]
+        cap = np.vstack([cap[~shared], *fans])
     annulus = _annulus(points, rim, outer_faces, normal, 1.6 * thickness)
     # the wall's faces look out of the wall, along the plate's direction: so do the cap's
     foot = np.vstack([cap, annulus])
     everything = np.vstack([points, inner])
     used, local = np.unique(foot, return_inverse=True)
     top_ids = len(everything) + np.arange(len(used))
-    # the far side is flattened towards the opening's mean plane, so that an uneven cut does not thin the plate
-    top = everything[used] + thickness * normal
-    everything = np.vstack([everything, top])
     local = local.reshape(-1, 3)
-    tets = split_prisms(foot, top_ids[local])
+    base = everything[used]
+    edges, of_triangle = unique_edges(local)
+    vector = _even_tops(base, local, edges, thickness * normal)
+    everything = np.vstack([everything, base + vector])
+    tets = split_prisms(foot, top_ids[local], shorter_diagonals(base, vector, local, edges, of_triangle))
     bad = volumes(everything, tets) <= 0
     if bad.any():
         raise AnatomyError(f"The plate over an opening has {int(bad.sum())} inverted cells: its cut is too uneven.")
     return Plate(everything[len(points) :], tets, cap, np.unique(annulus))
 
 
+def _even_tops(base: FloatArray, triangles: IntArray, edges: IntArray, step: FloatArray) -> FloatArray:
+    """Vectors (k, 3) mm from the foot to the far side: that of a foot with its bumps smoothed, moved by ``step``, but nowhere
+    nearer than 0.6 of it."""
+    degree = np.maximum(np.bincount(edges.ravel(), minlength=len(base)), 1)[:, None]
+    smooth = base
+    for _ in range(6):
+        total = np.zeros_like(base)
+        np.add.at(total, edges[:, 0], smooth[edges[:, 1]])
+        np.add.at(total, edges[:, 1], smooth[edges[:, 0]])
+        smooth = 0.5 * smooth + 0.5 * total / degree
+    normal = unit(step)
+    rise = (smooth - base) @ normal
+    limit = 0.4 * np.linalg.norm(step)
+    vector: FloatArray = step + np.clip(rise, -limit, limit)[:, None] * normal
+    return vector
+
+
 def _annulus(points: FloatArray, rim: IntArray, faces: IntArray, normal: FloatArray, reach: float) -> IntArray:
     corner = points[faces]
     facing = unit(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])) @ normal
     near = cKDTree(points[rim]).query(corner.reshape(-1, 3))[0].reshape(-1, 3).max(axis=1)
-    chosen = faces[(facing > 0.35) & (near < reach)]
+    chosen = faces[(facing > 0.55) & (near < reach)]
     # only what hangs together with the rim
     reached = np.zeros(len(points), dtype=bool)
     reached[rim] = True
