@@ -95,16 +95,16 @@ def _from_closed(
     mask: Image | None,
 ) -> Built:
     say("finding valve, veins and appendage")
-    found = find_landmarks(surface, contact, axes, given, mask)
+    found = find_landmarks(surface, contact, axes, given, mask, options.ring_width_mm)
     notes += found.notes
     say("cutting")
-    cavity, used = clip(surface, found, options.ring_width_mm)
+    cavity = clip(surface, found)
     say("meshing the wall")
     bundle = mesh_shell(
         cavity, options.thickness_mm, options.cell_size_mm, order=options.order, layers=options.layers, ring_width_mm=options.ring_width_mm
     )
     say("coordinates, regions, fibres")
-    described = coordinates.describe(bundle, used.sides, options.fibre_rule)
+    described = coordinates.describe(bundle, found.sides, options.fibre_rule)
     if described.islands:
         notes.append(f"{described.islands} floating elements took the region around them")
     measures: dict[str, Any] = {
@@ -115,11 +115,16 @@ def _from_closed(
     if mask is not None:
         measures["voxel_volume_ml"] = float(mask.array.sum()) * mask.voxel_ml
         measures["clipped_voxel_volume_ml"] = clipped_voxels_ml(mask, cavity)
-    return Built(described.bundle, used, cavity, tuple(notes), measures)
+    return Built(described.bundle, found, cavity, tuple(notes), measures)
 
 
 def find_landmarks(
-    surface: Surface, contact: FloatArray | None, axes: Axes | None, given: Landmarks | None = None, mask: Image | None = None
+    surface: Surface,
+    contact: FloatArray | None,
+    axes: Axes | None,
+    given: Landmarks | None = None,
+    mask: Image | None = None,
+    ring_mm: float = 2.5,
 ) -> Landmarks:
     """Every opening of a closed surface, found from its shape, its contact with the ventricle, and what was given."""
     if given is not None and set(OPENINGS) - {"appendage"} <= set(given.openings):
@@ -138,7 +143,7 @@ def find_landmarks(
     notes += words
     openings = {"mv": mitral}
     for name in sorted(named, key=lambda n: (OPENINGS.index(n) if n in OPENINGS else 99, n)):
-        openings[name] = landmarks.ostium(name, named[name], confidence[name], ray_caster(field))
+        openings[name] = landmarks.ostium(name, named[name], confidence[name], ray_caster(field), ring_mm)
     return landmarks.override(Landmarks(openings, {}, tuple(notes)), given)
 
 
@@ -243,25 +248,12 @@ def mitral_from_shape(surface: Surface, skeleton: branches.Skeleton) -> Opening:
     return Opening("mv", centre, down, beyond, 30.0, 0.2, "opposite the veins")
 
 
-def clip(surface: Surface, found: Landmarks, ring_width_mm: float) -> tuple[Surface, Landmarks]:
-    """Cut all openings; vessels are cut a ring's width beyond their ostium where they are long enough.
-
-    Veins beyond four are cut and closed as wall.
-    """
-    used = {}
-    for name, opening in found.openings.items():
-        if name == "mv" or opening.source == "landmarks file":
-            used[name] = opening
-            continue
-        room = float((opening.beyond - opening.centre) @ opening.normal) - 2.0
-        shift = float(np.clip(ring_width_mm, 0.0, max(room, 0.0)))
-        used[name] = replace(opening, centre=opening.centre + shift * opening.normal)
-    order = sorted(used, key=lambda n: (n == "mv", n))
-    for name in order:
-        opening = used[name]
-        label = PLANES.get(name, 0)
-        surface = clipping.cut(surface, opening.centre, opening.normal, opening.beyond, label, name.upper())
-    return surface, Landmarks({name: used[name] for name in found.openings}, found.sides, found.notes)
+def clip(surface: Surface, found: Landmarks) -> Surface:
+    """Cut all openings, the mitral valve last; veins beyond four are cut and closed as wall."""
+    for name in sorted(found.openings, key=lambda n: (n == "mv", n)):
+        opening = found.openings[name]
+        surface = clipping.cut(surface, opening.centre, opening.normal, opening.beyond, PLANES.get(name, 0), name.upper())
+    return surface
 
 
 def clipped_voxels_ml(mask: Image, cavity: Surface) -> float:

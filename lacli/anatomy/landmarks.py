@@ -188,14 +188,16 @@ def _sides(
     return left, right, float(np.clip(abs(gaps[0] - gaps[1]) / scale, 0, 1)), axes
 
 
-def ostium(name: str, branch: Branch, confidence: float, radius_at: Any) -> Opening:
-    """Where a branch leaves the body: plane sections across it are followed inward until they widen like the body's.
+def ostium(name: str, branch: Branch, confidence: float, radius_at: Any, ring_mm: float = 0.0) -> Opening:
+    """Cut across a branch where it leaves the body, ``ring_mm`` outside that (less where the branch is short).
+
+    Plane sections across the branch are followed inward until they widen like the body's.
 
     Starts 4 mm outside the shells' estimate; every mm the plane is centred and turned to its smallest section. The ostium is
     the last plane before the area grows by WIDENING within 3 mm. ``radius_at(centre, directions)`` gives the wall's distance
     (k,) mm along unit directions (k, 3) from a point inside.
     """
-    start = max(0, min(branch.ostium + 4, len(branch.centreline) - 5))
+    start = max(0, min(branch.ostium + 4, len(branch.centreline) - 6))
     ahead = branch.centreline[min(start + 3, len(branch.centreline) - 1)] - branch.centreline[max(0, start - 3)]
     axis = ahead / max(float(np.linalg.norm(ahead)), 1e-12)
     centre, normal, area = _smallest_section(branch.centreline[start], axis, axis, radius_at)
@@ -205,7 +207,8 @@ def ostium(name: str, branch: Branch, confidence: float, radius_at: Any) -> Open
         if area > WIDENING * min(a for _, _, a in places[-3:]):
             break
         places.append((centre, normal, area))
-    chosen = places[max(0, len(places) - 2)]
+    last = max(0, len(places) - 2)
+    chosen = places[max(0, last - round(ring_mm))]
     return Opening(name, chosen[0], chosen[1], branch.tip, float(2 * np.sqrt(chosen[2] / np.pi)), confidence, "shape")
 
 
