@@ -1,0 +1,160 @@
+"""``lacli simulate``: a scene to features, transients, fields and pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from lacli.cli.console import err, out, print_json, print_table
+from lacli.scene import Scene, load_scene
+from lacli.store import find_run, list_runs, run_key
+
+_UNITS = {"_ml": "mL", "_mm": "mm", "_s": "s", "_mb": "MB", "_mmhg": "mmHg", "_kpa": "kPa"}
+
+
+def command(
+    scene_file: Annotated[Path, typer.Argument(metavar="SCENE", help="The scene, a TOML file.")],
+    root: Annotated[Path, typer.Option("--out", help="Folder of the runs; each gets a folder of its own there.")] = Path("runs"),
+    overrides: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a key of the scene; may be repeated.")
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be modelled, what not, why, and the cost.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
+    figures: Annotated[bool, typer.Option(help="Draw transients and shapes into the run's folder.")] = True,
+) -> None:
+    """Run a scene through FreeFEM: features at end-systole, transients, fields, pictures.
+
+    A scene that was run before is not run again: its results are shown.
+
+    Example: lacli simulate examples/scene.toml --set loads.esp_mmhg=18 --set materials.c_kpa.roof=2.5
+    """
+    scene = load_scene(scene_file, overrides or [])
+    if dry_run:
+        _show_plan(scene, root, as_json)
+        return
+    result, repeated = _run(scene, root)
+    pictures: list[Path] = []
+    trouble = ""
+    if figures and result.status == "done":
+        pictures, trouble = _pictures(result.folder)
+    if as_json:
+        print_json(_document(result, repeated, pictures))
+    else:
+        _show_result(result, repeated, pictures)
+    if trouble:
+        err.print(f"The pictures could not be drawn ({trouble}). `lacli doctor` says what is missing.", highlight=False)
+    if result.status != "done":
+        raise typer.Exit(1)
+
+
+def _run(scene: Scene, root: Path) -> tuple[Any, bool]:
+    """The run's result, and whether it was there already."""
+    from lacli.cli.live import LiveLine
+    from lacli.mechanics.simulation import run_scene
+
+    before = find_run(root, run_key(scene))
+    with LiveLine() as line:
+        result = run_scene(scene, root, on_progress=line)
+    repeated = before is not None and before.manifest.get("finished") == result.manifest.get("finished")
+    return result, repeated
+
+
+def _pictures(folder: Path) -> tuple[list[Path], str]:
+    from lacli.report.simulation_figures import SHAPES, TRANSIENTS, draw_apart
+
+    there = [folder / name for name in (TRANSIENTS, SHAPES) if (folder / name).is_file()]
+    if len(there) == 2:
+        return there, ""
+    with err.status("drawing"):
+        return draw_apart(folder)
+
+
+def _errors(features: dict[str, Any]) -> dict[str, float]:
+    known = features.get("discretisation_error")
+    return known if isinstance(known, dict) else {}
+
+
+def _document(result: Any, repeated: bool, pictures: list[Path]) -> dict[str, Any]:
+    return {
+        "status": result.status,
+        "kind": result.kind,
+        "message": result.message,
+        "key": result.key,
+        "folder": str(result.folder),
+        "repeated": repeated,
+        "features": result.features,
+        "pictures": [str(path) for path in pictures],
+        "manifest": result.manifest,
+    }
+
+
+def _show_result(result: Any, repeated: bool, pictures: list[Path]) -> None:
+    if result.status != "done":
+        err.print(f"[bold red]The simulation failed[/] ({result.kind}): {result.message}", highlight=False, soft_wrap=True)
+        err.print(f"What there is up to then: {result.folder}", highlight=False, soft_wrap=True)
+        return
+    errors = _errors(result.features)
+    rows = []
+    for name, value in result.features.items():
+        if isinstance(value, (int, float)):
+            label, unit = _label(name)
+            error = f"{errors[name]:.2g}" if name in errors else ""
+            rows.append([label, value, unit, error])
+    print_table(
+        "Run before, results kept" if repeated else "Results", ["quantity", "value", "unit", "discretisation error"], rows
+    )
+    out.print(f"Everything is in {result.folder}", highlight=False, soft_wrap=True)
+    for path in pictures:
+        out.print(f"   picture {path.name}", highlight=False)
+
+
+def _label(name: str) -> tuple[str, str]:
+    """A feature's name and unit, from the unit at its end."""
+    for ending, unit in _UNITS.items():
+        if name.endswith(ending):
+            return name.removesuffix(ending).replace("_", " "), unit
+    return name.replace("_", " "), ""
+
+
+def _show_plan(scene: Scene, root: Path, as_json: bool) -> None:
+    from lacli.anatomy import bundle as bundles
+    from lacli.mechanics import cost
+    from lacli.mechanics.deck import describe
+
+    bundle = bundles.load(scene.anatomy.bundle)
+    terms = [(term, included, why) for term, included, why in describe(scene, bundle)]
+    price = cost.expected(scene, bundle, [run.features() for run in list_runs(root) if run.status == "done"])
+    key = run_key(scene)
+    known = find_run(root, key)
+    if as_json:
+        print_json(
+            {
+                "key": key,
+                "already": known.status if known else None,
+                "terms": [{"term": term, "included": included, "why": why} for term, included, why in terms],
+                "expected": vars(price),
+                "scene": scene.model_dump(mode="json"),
+            }
+        )
+        return
+    table = Table(header_style="bold")
+    table.add_column("term", no_wrap=True)
+    table.add_column("modelled", no_wrap=True)
+    table.add_column("why")
+    for term, included, why in sorted(terms, key=lambda item: not item[1]):
+        table.add_row(term, "[green]yes[/]" if included else "no", why)
+    out.print(table)
+    out.print(f"Expected cost: {_price(price)}.", highlight=False, soft_wrap=True)
+    if known:
+        out.print(f"This scene was run before ({known.status}): {known.folder}", highlight=False, soft_wrap=True)
+
+
+def _price(price: Any) -> str:
+    text = f"{price.unknowns:,} displacement unknowns"
+    if price.cpu_s is None:
+        return f"{text}; seconds and memory are told once a run is finished in the same --out folder"
+    memory = f", {price.peak_memory_mb:.0f} MB" if price.peak_memory_mb else ""
+    return f"{text}, about {price.cpu_s:.0f} CPU s{memory} (from {price.runs} finished runs here)"

@@ -1,0 +1,143 @@
+"""``lacli simulate`` at the terminal, with a stand-in for the simulator."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+from test_bundle import hollow_cube
+from typer.testing import CliRunner
+
+from lacli.anatomy.bundle import save
+from lacli.cli.live import describe
+from lacli.cli.main import build
+from lacli.mechanics import cost
+from lacli.mechanics.freefem import Progress
+from lacli.scene import Scene, build_scene
+from lacli.store import open_run, write_json
+
+
+@dataclass(frozen=True)
+class Result:
+    key: str
+    folder: Path
+    status: str
+    kind: str | None
+    message: str
+    features: dict[str, Any]
+    manifest: dict[str, Any]
+
+
+def run_scene(scene: Scene, root: Path, on_progress: Callable[[Any], None] | None = None) -> Result:
+    """Fails above 30 mmHg."""
+    with open_run(root, scene) as run:
+        if run.stored is None:
+            assert on_progress is not None
+            on_progress(Progress(phase="unload", load=0.5))
+            if scene.loads.esp_mmhg > 30:
+                run.finish("failed", kind="load_step_underflow", message="no step at load 0.7")
+            else:
+                features = {"edv_ml": 80.25, "d_global_mm": 3.5, "unknowns": 192, "cpu_s": 2.0, "peak_memory_mb": 100.0}
+                write_json(run.folder / "features.json", features | {"discretisation_error": {"edv_ml": 0.1}})
+                run.finish()
+    stored = run.stored
+    assert stored is not None
+    return Result(stored.key, stored.folder, stored.status, stored.kind, stored.message, stored.features(), stored.manifest)
+
+
+@pytest.fixture
+def scene_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    simulation, deck = ModuleType("lacli.mechanics.simulation"), ModuleType("lacli.mechanics.deck")
+    simulation.run_scene = run_scene  # type: ignore[attr-defined]
+    deck.describe = lambda scene, bundle: [  # type: ignore[attr-defined]
+        ("unloading", True, "loads.edp_mmhg is 8"),
+        ("pericardium", False, "k_peri is 0"),
+    ]
+    monkeypatch.setitem(sys.modules, "lacli.mechanics.simulation", simulation)
+    monkeypatch.setitem(sys.modules, "lacli.mechanics.deck", deck)
+    save(hollow_cube(), tmp_path / "la")
+    file = tmp_path / "scene.toml"
+    file.write_text('[anatomy]\nbundle = "la"\n')
+    return file
+
+
+def lacli(*arguments: object) -> Any:
+    return CliRunner().invoke(build({"simulate"}), ["simulate", *map(str, arguments)])
+
+
+def test_features_errors_and_folder_are_shown(scene_file: Path, tmp_path: Path) -> None:
+    shown = lacli(scene_file, "--out", tmp_path / "runs", "--no-figures")
+    assert shown.exit_code == 0
+    line = next(line for line in shown.stdout.splitlines() if "edv" in line)
+    assert [cell.strip() for cell in line.strip("│┃ ").split("│")] == ["edv", "80.25", "mL", "0.1"]
+    assert f"Everything is in {tmp_path / 'runs'}" in shown.stdout
+    assert "unload" in shown.stderr
+    again = lacli(scene_file, "--out", tmp_path / "runs", "--no-figures")
+    assert "Run before, results kept" in again.stdout
+
+
+def test_json_is_one_document(scene_file: Path, tmp_path: Path) -> None:
+    shown = lacli(scene_file, "--out", tmp_path / "runs", "--json", "--set", "loads.esp_mmhg=18")
+    document = json.loads(shown.stdout)
+    assert document["status"] == "done"
+    assert document["features"]["edv_ml"] == 80.25
+    assert document["features"]["discretisation_error"] == {"edv_ml": 0.1}
+    assert not document["repeated"]
+    assert Path(document["folder"]).parent == tmp_path / "runs"
+
+
+def test_failure_is_exit_code_1_with_kind_and_folder(scene_file: Path, tmp_path: Path) -> None:
+    shown = lacli(scene_file, "--out", tmp_path / "runs", "--set", "loads.esp_mmhg=37")
+    assert shown.exit_code == 1
+    assert "(load_step_underflow): no step at load 0.7" in shown.stderr
+    assert str(tmp_path / "runs") in shown.stderr.replace("\n", "")
+    assert shown.stdout == ""
+
+
+def test_dry_run_says_what_and_why_and_runs_nothing(scene_file: Path, tmp_path: Path) -> None:
+    shown = lacli(scene_file, "--out", tmp_path / "runs", "--dry-run")
+    assert shown.exit_code == 0
+    assert "loads.edp_mmhg is 8" in shown.stdout
+    assert "k_peri is 0" in shown.stdout
+    assert not (tmp_path / "runs").exists()
+    lacli(scene_file, "--out", tmp_path / "runs", "--no-figures")
+    document = json.loads(lacli(scene_file, "--out", tmp_path / "runs", "--dry-run", "--json").stdout)
+    assert document["already"] == "done"
+    assert document["terms"][1] == {"term": "pericardium", "included": False, "why": "k_peri is 0"}
+    # 2 s for 192 unknowns; this mesh has 64 corners and, see below, its edges
+    assert document["expected"]["cpu_s"] == pytest.approx(2.0 * (document["expected"]["unknowns"] / 192) ** 1.3)
+
+
+def test_wrong_key_is_one_message(scene_file: Path) -> None:
+    shown = lacli(scene_file, "--set", "loads.edp=3")
+    assert "loads.edp: unknown key" in str(shown.exception)
+
+
+def test_unknowns_are_counted() -> None:
+    bundle = hollow_cube()
+    edges = {tuple(sorted((a, b))) for tet in bundle.tets.tolist() for a in tet for b in tet if a != b}
+    assert cost.unknowns(bundle, 1) == 3 * 64
+    assert cost.unknowns(bundle, 2) == 3 * (64 + len(edges))
+
+
+def test_cost_scales_from_the_median_run() -> None:
+    scene = build_scene({"anatomy": {"bundle": "la"}, "numerics": {"order": 1}}, [], folder=Path("/"), where="test")
+    bundle = hollow_cube()
+    assert cost.expected(scene, bundle, []) == cost.Cost(192, None, None, 0)
+    runs = [{"unknowns": 192, "cpu_s": seconds, "peak_memory_mb": 50.0} for seconds in (1.0, 2.0, 9.0)]
+    assert cost.expected(scene, bundle, [*runs, {"edv_ml": 3.0}]) == cost.Cost(192, 2.0, 50.0, 3)
+
+
+def test_live_line() -> None:
+    event = Progress(phase="unload", load=0.25, newton=3, residual=1.2e-4, minj=0.8)
+    # a quarter in 10 s leaves 30 s
+    assert describe(event, 12, 10) == (
+        "unload  load 25 %  Newton 3  residual 1.2e-04  min J 0.80  12 s  about 30 s left in this phase"
+    )
+    assert describe(Progress(phase="mesh"), 1, 1) == "mesh  1 s"
