@@ -74,7 +74,7 @@ def layer_of(bundle: Bundle, side: int) -> Layer:
     else:
         chosen = np.flatnonzero((bundle.tags == EPI) | ((bundle.tags >= 11) & (bundle.tags <= 16)))
     faces = bundle.triangles[chosen]
-    label = _cell_label(bundle, faces[:, :3])
+    label = cell_label(bundle, faces[:, :3])
     names = {RINGS[name]: name for name in OPENINGS if name != "mv"}
     vessel = np.array([names.get(int(v), "") for v in label])
     if faces.shape[1] == 3:
@@ -86,7 +86,7 @@ def layer_of(bundle: Bundle, side: int) -> Layer:
     return Layer(quarters, np.repeat(vessel, 4), np.repeat(chosen, 4))
 
 
-def _cell_label(bundle: Bundle, faces: IntArray) -> IntArray:
+def cell_label(bundle: Bundle, faces: IntArray) -> IntArray:
     """Region of the cell behind each boundary face (t, 3)."""
     from lacli.anatomy.cells import boundary_faces, row_keys
 
@@ -137,7 +137,7 @@ def _through_the_wall(bundle: Bundle, on: Mapping[int, Layer], coordinate: Float
 def _cell_regions(bundle: Bundle, inner: Layer, coordinate: FloatArray, lines: regions.Lines) -> tuple[IntArray, int]:
     """Regions of the endocardial faces, islands corrected, carried to the cells behind them."""
     region = regions.of_triangles(coordinate, inner.triangles, lines)
-    label = _cell_label(bundle, bundle.triangles[inner.source, :3])
+    label = cell_label(bundle, bundle.triangles[inner.source, :3])
     body = label < 10
     a, b, c = (bundle.points[inner.triangles[:, i]] for i in range(3))
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
