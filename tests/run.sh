@@ -6,8 +6,8 @@ install_lacli test
 cd "$ROOT"
 
 say "ruff"
-"$BIN/ruff" check lacli tests benchmarks
-"$BIN/ruff" format --check lacli tests benchmarks
+"$BIN/ruff" check .
+"$BIN/ruff" format --check .
 say "mypy"
 "$BIN/mypy"
 say "pytest"
