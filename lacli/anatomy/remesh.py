@@ -233,8 +233,8 @@ def _collapse(mesh: _Mesh, reference: Reference, asked) -> None:  # type: ignore
             return
         candidate = candidate[_common_neighbours(mesh, candidate) == 2]
         # an edge that was refused must not stand in its neighbours' way again
-        patience = 1 + mesh.refusals[mesh.edges[candidate]].sum(axis=1)
-        chosen = _independent(mesh, candidate, mesh.length[candidate] * patience * (1 + 0.3 * rng.random(len(candidate))))
+        patience = mesh.refusals[mesh.edges[candidate]].min(axis=1) * mesh.size.max()
+        chosen = _independent(mesh, candidate, patience + mesh.length[candidate] * (1 + 0.3 * rng.random(len(candidate))))
         if len(chosen) == 0:
             return
         done = _apply_collapse(mesh, chosen, reference, asked)
@@ -271,11 +271,16 @@ def _apply_collapse(mesh: _Mesh, chosen: IntArray, reference: Reference, asked) 
     # the point that stays: the one on a border or corner, else either, moved to the middle
     stay = np.where(mesh.kind[b] > mesh.kind[a], b, a)
     gone = np.where(stay == a, b, a)
-    target = np.where((mesh.kind[a] == mesh.kind[b])[:, None], (mesh.points[a] + mesh.points[b]) / 2, mesh.points[stay])
+    same = mesh.kind[a] == mesh.kind[b]
+    # the middle first; where that was refused before, one end
+    tired = same & (mesh.refusals[mesh.edges[chosen]].max(axis=1) > 0)
+    swap = tired & (mesh.refusals[mesh.edges[chosen]].sum(axis=1) % 2 == 1)
+    stay, gone = np.where(swap, gone, stay), np.where(swap, stay, gone)
+    same &= ~tired
+    target = np.where(same[:, None], (mesh.points[a] + mesh.points[b]) / 2, mesh.points[stay])
     moved = _Mesh(mesh.points.copy(), mesh.triangles, mesh.label, mesh.size)
     moved.edges, moved.kind, moved.is_border, moved.wing = mesh.edges, mesh.kind, mesh.is_border, mesh.wing
     moved.points[stay] = target
-    same = mesh.kind[a] == mesh.kind[b]
     _project(moved, stay[same], reference)
     target = moved.points[stay]
     position = mesh.points.copy()

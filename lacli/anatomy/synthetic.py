@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from lacli.anatomy.synthetic_shape import COHORT_ML, Shape, cohort_volume, draw
 from lacli.errors import AnatomyError
 from lacli.motion.annulus import Motion, descend
 
-GRID_MM = 1.1
+GRID_MM = 1.3
 
 
 def synthesize(
@@ -46,12 +47,18 @@ def sized(seed: int, volume_ml: float | None = None) -> Shape:
     volume = cohort_volume(seed) if volume_ml is None else float(volume_ml)
     if not 5.0 <= volume <= 500.0:
         raise AnatomyError(f"A left atrium of {volume:g} mL is not one: give 5 - 500 mL (the published cohort has {COHORT_ML[0]:g} - {COHORT_ML[1]:g}).")
-    shape = draw(seed)
-    return replace(shape, scale=float((volume / cavity(shape).volume_ml()) ** (1 / 3)))
+    return replace(draw(seed), scale=float((volume / _unit_cavity(seed, GRID_MM).volume_ml()) ** (1 / 3)))
 
 
 def cavity(shape: Shape, grid_mm: float = GRID_MM) -> Surface:
-    """The closed, clipped cavity surface, its points on the implicit function's zero."""
+    """The closed, clipped cavity surface, its points on the implicit function's zero; triangles of ``grid_mm`` times the scale."""
+    unit_cavity = _unit_cavity(shape.seed, grid_mm)
+    return replace(unit_cavity, points=unit_cavity.points * shape.scale)
+
+
+@lru_cache(maxsize=4)
+def _unit_cavity(seed: int, grid_mm: float) -> Surface:
+    shape = draw(seed)
     surface = isosurface(shape, grid_mm)
     for cut in shape.cuts():
         surface = cut_open(surface, cut)
@@ -112,4 +119,4 @@ def signed_distance(seed: int, points: FloatArray, volume_ml: float | None = Non
     return value
 
 
-__all__ = ["cavity", "signed_distance", "signed_distance_grid", "sized", "synthesize", "unit"]
+
