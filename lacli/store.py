@@ -13,6 +13,7 @@ import fcntl
 import functools
 import hashlib
 import json
+import logging
 import os
 import platform
 import shutil
@@ -31,6 +32,7 @@ from lacli.errors import AnatomyError, StorageError
 from lacli.resources import folder as resource_folder
 from lacli.scene import Scene, content_hash, dump_scene
 
+_logger = logging.getLogger(__name__)
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 # failures of the machine, not of the scene: asked again, they run again
 TRANSIENT_KINDS = frozenset({"killed", "disk_full", "out_of_memory"})
@@ -361,7 +363,13 @@ def _locked(path: Path, wait: bool) -> IO[bytes] | None:
     while True:
         stream = path.open("ab")
         try:
-            fcntl.flock(stream, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            try:
+                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                if not wait:
+                    raise
+                _logger.warning("Another process does run %s at this moment; waiting for it.", path.name)
+                fcntl.flock(stream, fcntl.LOCK_EX)
             # the one before us removed the file when it left: then ours is not the file others see
             if path.exists() and os.fstat(stream.fileno()).st_ino == path.stat().st_ino:
                 return stream
