@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from lacli.anatomy.bundle import ENDO, EPI, OPENINGS, OTHER, PLANES, REGIONS, TET10_EDGES, Bundle
-from lacli.anatomy.cells import boundary_faces, curved_jacobian, edges_of, row_keys, scaled_jacobian
+from lacli.anatomy.cells import boundary_faces, curved_jacobian, edges_of, enclosed_volume_ml, scaled_jacobian
 from lacli.anatomy.frame import AtrialFrame, frame_from_openings, height, sectors, sweep, two_layer_fibres, unit
 from lacli.anatomy.offset import Offset, offset_surface
 from lacli.anatomy.prisms import shorter_diagonals, split_prisms
@@ -82,7 +82,7 @@ def mesh_shell(
 
 
 def _assemble(surface: Surface, edges: IntArray, of_triangle: IntArray, off: Offset, layers: int, order: int) -> Bundle:
-    n, e = len(surface.points), len(edges)
+    n = len(surface.points)
     level = np.arange(layers + 1) / layers
     points = np.concatenate([surface.points + s * off.vector for s in level])
     starts = shorter_diagonals(surface.points, off.vector, surface.triangles, edges, of_triangle)
@@ -116,7 +116,6 @@ def _assemble(surface: Surface, edges: IntArray, of_triangle: IntArray, off: Off
         straightened_edges=straightened,
         thinned_share=float(off.thinned.mean()),
     )
-    del e
     return _describe(points, tets, label, triangles, tags, transmural, surface, report)
 
 
@@ -167,7 +166,8 @@ def _describe(
     """Regions, coordinates and fibres by the simple rules of ``frame``, where the openings say where things are."""
     present = {name for name in OPENINGS if np.any(surface.label == PLANES[name])}
     region = np.where(label == 0, REGIONS["anterior"], label)
-    info = {"cavity_volume_ml": surface.volume_ml(), "shell": report.__dict__}
+    cavity = triangles[(tags == ENDO) | (tags >= 21)]
+    info = {"cavity_volume_ml": -enclosed_volume_ml(points, cavity), "shell": report.__dict__}
     if not {"mv", "rspv", "ripv", "lspv", "lipv"} <= present:
         return Bundle(points, tets, region, triangles, tags, transmural=transmural, info=info)
     frame = frame_of(surface)
@@ -198,5 +198,3 @@ def frame_of(surface: Surface) -> AtrialFrame:
             openings[name] = np.average(middle[mine], axis=0, weights=area[mine])
     return frame_from_openings(np.average(middle, axis=0, weights=area), openings)
 
-
-__all__ = ["ShellReport", "mesh_shell", "row_keys"]
