@@ -12,23 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lacli.errors import UsageError
+from lacli.scene import BODY_REGIONS, parameter_box
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-_REGIONS = ("anterior", "posterior", "septum", "lateral", "roof")
-# published ranges of the left atrium's parameters
-RANGES: dict[str, tuple[float, float]] = {
-    **{f"c_{region}_kpa": (0.2, 6.8) for region in _REGIONS},
-    **{f"alpha_{region}": (0.125, 4.0) for region in _REGIONS},
-    "edp_mmhg": (1.0, 12.0),
-    "esp_mmhg": (13.0, 37.0),
-    "k_peri_kpa_per_um": (0.0001, 0.005),
-    "pth": (0.50, 0.95),
-}
+# published ranges of the left atrium's parameters, the scene's
+RANGES: dict[str, tuple[float, float]] = parameter_box()
 CALIBRATION_INPUTS: tuple[str, ...] = tuple(name for name in RANGES if not name.startswith("c_"))
 SENSITIVITY_INPUTS: tuple[str, ...] = tuple(RANGES)
-OUTPUTS: tuple[str, ...] = ("esv_ml", "d_global_mm", *(f"d_{region}_mm" for region in _REGIONS))
+OUTPUTS: tuple[str, ...] = ("esv_ml", "d_global_mm", *(f"d_{region}_mm" for region in BODY_REGIONS))
 # (lower, upper): the first must stay below the second
 _ORDERED = (("edp_mmhg", "esp_mmhg"),)
 
