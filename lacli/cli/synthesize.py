@@ -1,0 +1,127 @@
+"""``lacli synthesize``: a parametric left atrium, or a cohort of them."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from lacli.cli.console import print_json, print_table, progress
+from lacli.errors import AnatomyError, UsageError
+
+KEY = "synthesis"  # in anatomy.json: what a folder was made from, so that a rerun knows a finished one
+
+
+def command(
+    out: Annotated[Path, typer.Argument(help="Folder to write (the bundle; with --cohort one folder per atrium in it).")],
+    seed: Annotated[int, typer.Option(help="Seed of the shape; a cohort takes this one and the following.")] = 1,
+    volume_ml: Annotated[float | None, typer.Option(help="Cavity volume, mL. Default: the seed's own, 47 - 135 mL.")] = None,
+    thickness_mm: Annotated[float, typer.Option(help="Wall thickness, mm.")] = 2.0,
+    cell_size_mm: Annotated[float, typer.Option(help="Edge length of the cells along the wall, mm.")] = 4.0,
+    order: Annotated[int, typer.Option(help="1: 4-node cells, 2: 10-node cells with curved edges.")] = 2,
+    frames: Annotated[int, typer.Option(help="Frames of the annulus' motion over the cycle.")] = 10,
+    descent_mm: Annotated[float, typer.Option(help="How far the annulus descends, mm.")] = 8.0,
+    cohort: Annotated[int, typer.Option(help="Number of atria; 0: one, written into OUT itself.")] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
+) -> None:
+    """Write a parametric left atrium from a seed: bundle (wall, boundary, regions, fibres) and annulus motion.
+
+    A folder that was written with the same options is kept as it is.
+
+    Example: lacli synthesize atrium --seed 3 --volume-ml 80
+
+    Example: lacli synthesize cohort --cohort 10 --cell-size-mm 4
+    """
+    if cohort < 0 or seed < 0:
+        raise UsageError("--seed and --cohort must not be negative.")
+    wanted = {
+        "volume_ml": volume_ml,
+        "thickness_mm": thickness_mm,
+        "cell_size_mm": cell_size_mm,
+        "order": order,
+        "frames": frames,
+        "descent_mm": descent_mm,
+    }
+    places = [(seed + i, out / f"la{seed + i:02d}" if cohort else out) for i in range(max(cohort, 1))]
+    rows = []
+    with progress() as bar:
+        task = bar.add_task("synthesizing", total=len(places))
+        for number, folder in places:
+            rows.append(_one(number, folder, wanted))
+            bar.advance(task)
+    if as_json:
+        print_json(rows)
+        return
+    print_table(
+        f"parametric left atria in {out}",
+        ["seed", "folder", "cavity mL", "wall mL", "cells", "points", "worst cell", "cells < 0.2"],
+        [
+            [r["seed"], r["folder"], r["cavity_volume_ml"], r["wall_volume_ml"], r["cells"], r["points"]]
+            + [r["scaled_jacobian_min"], r["share_below_02"]]
+            for r in rows
+        ],
+    )
+
+
+def _one(seed: int, folder: Path, wanted: dict[str, Any]) -> dict[str, Any]:
+    """Write one atrium under a temporary name, then rename; return its row."""
+    from dataclasses import replace
+
+    from lacli.anatomy.bundle import check, save
+    from lacli.anatomy.cells import volumes
+    from lacli.anatomy.synthetic import synthesize
+    from lacli.motion.annulus import save_motion
+
+    made_from = {"seed": seed, **wanted}
+    info = _finished(folder, made_from)
+    if info is None:
+        bundle, motion = synthesize(seed, **wanted)
+        check(bundle, f"seed {seed}")
+        info = {
+            **bundle.info,
+            KEY: made_from,
+            "wall_volume_ml": float(volumes(bundle.points, bundle.tets).sum() / 1000.0),
+            "cells": len(bundle.tets),
+            "points": len(bundle.points),
+        }
+        partial = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
+        try:
+            save(replace(bundle, info=info), partial)
+            save_motion(motion, partial)
+            if folder.exists():
+                shutil.rmtree(folder)
+            os.replace(partial, folder)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+    shell = info["shell"]
+    return {
+        "seed": seed,
+        "folder": str(folder),
+        "cavity_volume_ml": info["cavity_volume_ml"],
+        "wall_volume_ml": info["wall_volume_ml"],
+        "cells": info["cells"],
+        "points": info["points"],
+        "scaled_jacobian_min": shell["scaled_jacobian_min"],
+        "share_below_02": shell["scaled_jacobian_share_below_02"],
+        "curved_jacobian_min": shell["curved_jacobian_min"],
+    }
+
+
+def _finished(folder: Path, made_from: dict[str, Any]) -> dict[str, Any] | None:
+    """The description of a folder that was made from the same options; None where there is none.
+
+    Raises AnatomyError where the folder holds something else: it is not ours to replace.
+    """
+    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+        return None
+    try:
+        info = json.loads((folder / "anatomy.json").read_text())
+        same = info[KEY] == made_from
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise AnatomyError(f"{folder} exists and was not written by `lacli synthesize`; choose another folder or remove it.") from error
+    complete = all((folder / name).is_file() for name in ("wall.vtu", "boundary.vtp", "motion.npz"))
+    return info if same and complete else None
