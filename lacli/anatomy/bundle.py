@@ -107,7 +107,9 @@ def load(folder: Path) -> Bundle:
         boundary = pv.read(boundary_file)
         info = json.loads(info_file.read_text())
     except Exception as error:  # readers raise all sorts of things on damaged files
-        raise AnatomyError(f"{folder}: the bundle cannot be read ({type(error).__name__}: {error}). Write it again.") from error
+        raise AnatomyError(
+            f"{folder}: the bundle cannot be read, a file is damaged ({type(error).__name__} {error}). Write it again."
+        ) from error
     kinds = [b.type for b in wall.cells]
     if len(kinds) != 1 or kinds[0] not in ("tetra", "tetra10"):
         raise AnatomyError(f"{wall_file}: expected one block of tetra or tetra10 cells, found {kinds}.")

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
 import importlib.util
 import os
 import sys
+from collections.abc import Callable
 
 import typer
 
@@ -42,10 +44,27 @@ def build(called: set[str]) -> typer.Typer:
         if not _exists(name):
             continue
         if name in called:
-            app.command(name=name, short_help=text)(importlib.import_module(f"lacli.cli.{name}").command)
+            app.command(name=name, short_help=text)(_interruptible(importlib.import_module(f"lacli.cli.{name}").command))
         else:
             app.command(name=name, short_help=text, help=text)(_unloaded)
     return app
+
+
+class _Interrupted(LacliError):
+    exit_code = 130
+
+
+def _interruptible(command: Callable[..., None]) -> Callable[..., None]:
+    """Ctrl-C as an error of ours: what Typer makes of it changes with its version."""
+
+    @functools.wraps(command)
+    def call(*arguments: object, **options: object) -> None:
+        try:
+            command(*arguments, **options)
+        except KeyboardInterrupt as error:
+            raise _Interrupted("interrupted. What was finished is kept; run the same command again to go on.") from error
+
+    return call
 
 
 def _unloaded() -> None:
@@ -74,9 +93,6 @@ def run() -> None:
     except LacliError as error:
         fail(error)
         sys.exit(error.exit_code)
-    except KeyboardInterrupt:
-        sys.stderr.write("Interrupted. What was finished is kept; run the same command again to go on.\n")
-        sys.exit(130)
     except OSError as error:
         if error.errno == 28:
             sys.stderr.write(f"lacli: the disk is full ({error.filename or 'unknown file'}). Free some space and run again.\n")

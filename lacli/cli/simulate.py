@@ -8,7 +8,8 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from lacli.cli.console import err, out, print_json, print_table
+from lacli.cli.console import err, fail, out, print_json, print_table
+from lacli.errors import SimulationError
 from lacli.scene import Scene, load_scene
 from lacli.store import find_run, list_runs, run_key
 
@@ -40,9 +41,11 @@ def command(
     trouble = ""
     if figures and result.status == "done":
         pictures, trouble = _pictures(result.folder)
+    if result.status != "done":
+        _show_failure(result)
     if as_json:
         print_json(_document(result, repeated, pictures))
-    else:
+    elif result.status == "done":
         _show_result(result, repeated, pictures)
     if trouble:
         err.print(f"The pictures could not be drawn ({trouble}). `lacli doctor` says what is missing.", highlight=False)
@@ -91,11 +94,11 @@ def _document(result: Any, repeated: bool, pictures: list[Path]) -> dict[str, An
     }
 
 
+def _show_failure(result: Any) -> None:
+    fail(SimulationError(result.kind, f"the simulation failed ({result.kind}): {result.message} What there is: {result.folder}"))
+
+
 def _show_result(result: Any, repeated: bool, pictures: list[Path]) -> None:
-    if result.status != "done":
-        err.print(f"[bold red]The simulation failed[/] ({result.kind}): {result.message}", highlight=False, soft_wrap=True)
-        err.print(f"What there is up to then: {result.folder}", highlight=False, soft_wrap=True)
-        return
     errors = _errors(result.features)
     rows = []
     for name, value in result.features.items():
