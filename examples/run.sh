@@ -9,10 +9,8 @@ ANATOMY="$RESULTS/synthetic"
 mkdir -p "$RESULTS"
 
 "$BIN/lacli" doctor
-if [ ! -f "$ANATOMY/anatomy.json" ]; then
-  say "a synthetic left atrium"
-  "$BIN/lacli" synthesize "$ANATOMY"
-fi
+say "a synthetic left atrium"
+"$BIN/lacli" synthesize "$ANATOMY"
 say "its simulation: what will be modelled, then the run"
 SCENE="$ROOT/examples/scene.toml"
 "$BIN/lacli" simulate "$SCENE" --set "anatomy.bundle=$ANATOMY" --dry-run
