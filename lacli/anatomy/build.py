@@ -15,12 +15,15 @@ from lacli.anatomy import branches, clipping, coordinates, extraction, landmarks
 from lacli.anatomy.bundle import OPENINGS, PLANES, Bundle
 from lacli.anatomy.image import Image
 from lacli.anatomy.landmarks import LPS, Axes, Landmarks, Opening
+from lacli.anatomy.repair import Repaired
 from lacli.anatomy.shell import mesh_shell
 from lacli.anatomy.surface import Surface
 from lacli.errors import AnatomyError
 
 FloatArray = NDArray[np.float64]
 Say = Callable[[str], None]
+LEAST_WALL_MM = 1.0
+RIM_INSET_MM = 1.0  # an uneven rim is cut flat this far inside
 
 
 @dataclass(frozen=True)
@@ -47,8 +50,16 @@ class Built:
     measures: dict[str, Any] = field(default_factory=dict)
 
 
-def from_labels(labels: Image, la: int, lv: int | None, options: Options, given: Landmarks | None = None, say: Say = print) -> Built:
-    """Bundle from a label map; ``la`` and ``lv`` are the labels of the left atrium's and the left ventricle's blood."""
+def from_labels(
+    labels: Image,
+    la: int,
+    lv: int | None,
+    options: Options,
+    given: Landmarks | None = None,
+    say: Say = print,
+    wall: int | None = None,
+) -> Built:
+    """Bundle from a label map; ``la``, ``lv``: labels of the left atrium's and ventricle's blood, ``wall``: of the atrial wall."""
     say("finding the blood pool")
     pool = extraction.blood_pool(labels, la)
     notes = list(pool.notes)
@@ -58,7 +69,57 @@ def from_labels(labels: Image, la: int, lv: int | None, options: Options, given:
     contact = None if lv is None else lv_contact(labels, lv, surface)
     if lv is not None and contact is None:
         notes.append(f"label {lv} does not touch the atrium: the mitral plane is found from the shape")
-    return _from_closed(surface, contact, LPS, options, given, say, notes, pool.mask)
+    outer = None if wall is None else outer_surface(labels, la, wall, surface, options, notes)
+    return _from_closed(surface, contact, LPS, options, given, say, notes, pool.mask, outer)
+
+
+def outer_surface(labels: Image, la: int, wall: int, inner: Surface, options: Options, notes: list[str]) -> Surface:
+    """The wall's outer surface from its label; where the label has holes it keeps LEAST_WALL_MM from the blood.
+
+    Raises AnatomyError where the label is absent or covers less than half of the blood pool.
+    """
+    if not (labels.array == wall).any():
+        raise AnatomyError(f"label {wall} (atrial wall) has no voxel in the image.")
+    both = labels.with_array(np.isin(labels.array, (la, wall)).astype(np.uint8))
+    pool = extraction.blood_pool(both, 1)
+    blood = labels.with_array(labels.array == la).crop(*_box(pool.mask, labels))
+    depth = ndimage.distance_transform_edt(~blood.array, sampling=labels.spacing[::-1])
+    filled = (depth <= LEAST_WALL_MM) & ~pool.mask.array
+    share = float(filled.sum()) / max(float((depth <= LEAST_WALL_MM).sum() - blood.array.sum()), 1.0)
+    if share > 0.5:
+        raise AnatomyError(
+            f"label {wall} covers only {100 * (1 - share):.0f} % of the blood pool's surface; is it the atrial wall?"
+        )
+    if filled.any():
+        notes.append(
+            f"{100 * share:.1f} % of the wall next to the blood had no label; it was given {LEAST_WALL_MM:g} mm (openings included)"
+        )
+    return extraction.surface_of(pool.mask.with_array(pool.mask.array | filled), options.smoothing_mm, 0.8)
+
+
+def _box(mask: Image, labels: Image) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    low = np.round(labels.to_index(mask.origin[None])[0]).astype(int)
+    return low, low + np.array(mask.array.shape[::-1])
+
+
+def from_surface(
+    repaired: Repaired, options: Options, given: Landmarks | None = None, axes: Axes | None = None, say: Say = print
+) -> Built:
+    """Bundle from a repaired surface; ``axes`` None: left and right are told from the shape."""
+    openings = openings_of_rims(repaired, options.ring_width_mm)
+    return _from_closed(repaired.surface, openings, axes, options, given, say, list(repaired.notes), None)
+
+
+def openings_of_rims(repaired: Repaired, ring_mm: float) -> list[Opening]:
+    """The openings that an open surface came with, as cuts just inside their rims, the longest first."""
+    del ring_mm
+    found = []
+    for rim in repaired.rims:
+        centre = rim.centre - RIM_INSET_MM * rim.normal
+        found.append(
+            Opening("", centre, rim.normal, rim.centre + 0.5 * rim.normal, rim.length_mm / np.pi, 0.9, "opening of the surface")
+        )
+    return found
 
 
 def lv_contact(labels: Image, lv: int, surface: Surface) -> FloatArray | None:
@@ -76,7 +137,9 @@ def lv_contact(labels: Image, lv: int, surface: Surface) -> FloatArray | None:
     if len(voxels) == 0:
         return None
     distance, _ = cKDTree(voxels).query(surface.points, distance_upper_bound=8.0)
-    point_area = np.bincount(surface.triangles.ravel(), weights=np.repeat(surface.areas() / 3.0, 3), minlength=len(surface.points))
+    point_area = np.bincount(
+        surface.triangles.ravel(), weights=np.repeat(surface.areas() / 3.0, 3), minlength=len(surface.points)
+    )
     for reach in (1.5 * float(labels.spacing.max()), 2.0, 3.0, 4.5, 6.0):
         near = distance <= reach
         if point_area[near].sum() >= 200.0:
@@ -86,13 +149,14 @@ def lv_contact(labels: Image, lv: int, surface: Surface) -> FloatArray | None:
 
 def _from_closed(
     surface: Surface,
-    contact: FloatArray | None,
+    contact: FloatArray | list[Opening] | None,
     axes: Axes | None,
     options: Options,
     given: Landmarks | None,
     say: Say,
     notes: list[str],
     mask: Image | None,
+    outer: Surface | None = None,
 ) -> Built:
     say("finding valve, veins and appendage")
     found = find_landmarks(surface, contact, axes, given, mask, options.ring_width_mm)
@@ -100,9 +164,7 @@ def _from_closed(
     say("cutting")
     cavity = clip(surface, found)
     say("meshing the wall")
-    bundle = mesh_shell(
-        cavity, options.thickness_mm, options.cell_size_mm, order=options.order, layers=options.layers, ring_width_mm=options.ring_width_mm
-    )
+    bundle = _shell(cavity, options, outer, notes)
     say("coordinates, regions, fibres")
     described = coordinates.describe(bundle, found.sides, options.fibre_rule)
     if described.islands:
@@ -118,33 +180,89 @@ def _from_closed(
     return Built(described.bundle, found, cavity, tuple(notes), measures)
 
 
+def _shell(cavity: Surface, options: Options, outer: Surface | None, notes: list[str]) -> Bundle:
+    """The wall's cells; where the surface bends too tightly for the size, smaller ones."""
+    for factor in (1.0, 0.8, 0.64, 0.5):
+        try:
+            bundle = mesh_shell(
+                cavity,
+                options.thickness_mm,
+                factor * options.cell_size_mm,
+                order=options.order,
+                outer=outer,
+                layers=options.layers,
+                ring_width_mm=options.ring_width_mm,
+            )
+        except AnatomyError:
+            if factor == 0.5:
+                raise
+            continue
+        if factor < 1.0:
+            notes.append(
+                f"cells of {options.cell_size_mm:g} mm do not fit this surface: {factor * options.cell_size_mm:.2g} mm were used"
+            )
+        return bundle
+    raise AssertionError("unreachable")
+
+
 def find_landmarks(
     surface: Surface,
-    contact: FloatArray | None,
+    contact: FloatArray | list[Opening] | None,
     axes: Axes | None,
     given: Landmarks | None = None,
     mask: Image | None = None,
     ring_mm: float = 2.5,
 ) -> Landmarks:
-    """Every opening of a closed surface, found from its shape, its contact with the ventricle, and what was given."""
+    """Every opening of a closed surface, found from its shape, its contact with the ventricle, and what was given.
+
+    ``contact``: points that face the ventricle, or the openings that the surface had before it was closed.
+    """
     if given is not None and set(OPENINGS) - {"appendage"} <= set(given.openings):
         return given
-    field = voxel_field(surface, 1.0) if mask is None else extraction.smooth_field(mask, max(0.8, 0.8 * float(mask.spacing.max())), 1.0)
+    field = (
+        voxel_field(surface, 1.0)
+        if mask is None
+        else extraction.smooth_field(mask, max(0.8, 0.8 * float(mask.spacing.max())), 1.0)
+    )
     skeleton = branches.find(field)
     notes: list[str] = []
     if given is not None and "mv" in given.openings:
         mitral = given.openings["mv"]
-    elif contact is not None:
+    elif isinstance(contact, list) and contact:
+        mitral = replace(contact[0], name="mv")
+    elif contact is not None and not isinstance(contact, list):
         mitral = mitral_from_contact(surface, contact)
     else:
         mitral = mitral_from_shape(surface, skeleton)
         notes.append("the mitral plane was found from the shape alone: look at it, and correct it in landmarks.toml")
+    vessels = contact[1:] if isinstance(contact, list) else []
+    if len(vessels) >= 4:
+        skeleton = with_rims(skeleton, vessels, mitral)
     named, confidence, words = landmarks.name_branches(skeleton, mitral.centre, axes)
     notes += words
     openings = {"mv": mitral}
     for name in sorted(named, key=lambda n: (OPENINGS.index(n) if n in OPENINGS else 99, n)):
-        openings[name] = landmarks.ostium(name, named[name], confidence[name], ray_caster(field), ring_mm)
+        rim = next((v for v in vessels if v.centre is named[name].tip), None)
+        if rim is not None:
+            openings[name] = replace(rim, name=name, confidence=confidence[name])
+        else:
+            openings[name] = landmarks.ostium(name, named[name], confidence[name], ray_caster(field), ring_mm)
     return landmarks.override(Landmarks(openings, {}, tuple(notes)), given)
+
+
+def with_rims(skeleton: branches.Skeleton, vessels: list[Opening], mitral: Opening) -> branches.Skeleton:
+    """The openings as branches, and of the shape's branches those that end at no opening (a closed appendage)."""
+    found = []
+    for vessel in vessels:
+        line = vessel.centre[None] + np.outer(np.arange(0.0, 6.0), vessel.normal)
+        area = np.full(6, np.pi * vessel.diameter_mm**2 / 4)
+        found.append(branches.Branch(line, area, np.arange(6.0), 0, vessel.centre, 5.0))
+    everything = [*vessels, mitral]
+    for branch in skeleton.branches:
+        gap = min(float(np.linalg.norm(branch.tip - v.centre)) / max(v.diameter_mm, 1.0) for v in everything)
+        if gap > 1.0:
+            found.append(branch)
+    return branches.Skeleton(skeleton.middle, skeleton.radius_mm, tuple(found))
 
 
 def voxel_field(surface: Surface, spacing_mm: float) -> Image:
@@ -219,7 +337,15 @@ def mitral_from_contact(surface: Surface, contact: FloatArray) -> Opening:
     top = float(((middle - centre) @ normal).max())
     if top < 1.0:
         centre = centre - (1.0 - top) * normal
-    return Opening("mv", centre, normal, beyond, float(2 * np.sqrt(size / np.pi)), round(min(0.99, ratio), 2), "contact with the left ventricle")
+    return Opening(
+        "mv",
+        centre,
+        normal,
+        beyond,
+        float(2 * np.sqrt(size / np.pi)),
+        round(min(0.99, ratio), 2),
+        "contact with the left ventricle",
+    )
 
 
 def mitral_from_shape(surface: Surface, skeleton: branches.Skeleton) -> Opening:

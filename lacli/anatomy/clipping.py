@@ -68,19 +68,43 @@ def _close(surface: Surface, normal: FloatArray, label: int, what: str) -> Surfa
     rims = paths.loops(paths.open_edges(surface.triangles))
     if not rims:
         raise AnatomyError(f"cutting the {what} left no rim; correct its centre in landmarks.toml.")
-    triangles, labels = [surface.triangles], [surface.label]
+    points, triangles, labels = surface.points, [surface.triangles], [surface.label]
     for rim in rims:
-        cap = fill_rim(surface.points, rim, surface.triangles)
+        points, cap = fill_rim(points, rim, surface.triangles)
         triangles.append(cap)
         labels.append(np.full(len(cap), label, dtype=np.int64))
-    return Surface(surface.points, np.vstack(triangles), np.concatenate(labels))
+    return Surface(points, np.vstack(triangles), np.concatenate(labels))
 
 
-def fill_rim(points: FloatArray, rim: IntArray, neighbours: IntArray) -> IntArray:
-    """Triangles (k - 2, 3) over a rim (k,), no new points, oriented to fit ``neighbours``."""
+def fill_rim(points: FloatArray, rim: IntArray, neighbours: IntArray) -> tuple[FloatArray, IntArray]:
+    """Points and triangles over a rim (k,), oriented to fit ``neighbours``.
+
+    Ears are cut; where that would double an edge that is there already, triangles meet in a new point in the middle.
+    """
+    cap = _ears(points, rim, neighbours)
+    beside = neighbours[np.isin(neighbours, rim).sum(axis=1) >= 2]
+    size = len(points) + 1
+
+    def inner(triangles: IntArray) -> IntArray:
+        pairs = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+        return pairs[:, 0] * size + pairs[:, 1]
+
+    own = np.sort(np.column_stack([rim, np.roll(rim, -1)]), axis=1)
+    chords = np.setdiff1d(inner(cap), own[:, 0] * size + own[:, 1])
+    if not np.isin(chords, inner(beside)).any():
+        return points, cap
+    follows = {(int(a), int(b)) for a, b in cap[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)}
+    ordered = rim if (int(rim[0]), int(rim[1])) in follows else rim[::-1]
+    fan = np.column_stack([ordered, np.roll(ordered, -1), np.full(len(rim), len(points))])
+    return np.vstack([points, points[rim].mean(axis=0)]), fan
+
+
+def _ears(points: FloatArray, rim: IntArray, neighbours: IntArray) -> IntArray:
     import vtk
 
-    directed = {(int(a), int(b)) for a, b in neighbours[np.isin(neighbours, rim).any(axis=1)][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)}
+    directed = {
+        (int(a), int(b)) for a, b in neighbours[np.isin(neighbours, rim).any(axis=1)][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    }
     if (int(rim[0]), int(rim[1])) in directed:
         rim = rim[::-1]
     polygon = vtk.vtkPolygon()

@@ -38,9 +38,7 @@ class Described:
     islands: int
 
 
-def describe(
-    bundle: Bundle, sides: Mapping[str, FloatArray] | None = None, rule: str = "laplace-dirichlet"
-) -> Described:
+def describe(bundle: Bundle, sides: Mapping[str, FloatArray] | None = None, rule: str = "laplace-dirichlet") -> Described:
     """Coordinates, regions and fibres for a bundle with transmural values, rings 11 - 16 and planes 21 - 26.
 
     ``sides``: points of landmarks.SIDES that win over what is found. ``rule``: one of RULES. A bundle that has its own fibres
@@ -80,9 +78,9 @@ def layer_of(bundle: Bundle, side: int) -> Layer:
     if faces.shape[1] == 3:
         return Layer(faces, vessel, chosen)
     a, b, c, ab, bc, ca = faces.T
-    quarters = np.stack(
-        [np.column_stack(t) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))], axis=1
-    ).reshape(-1, 3)
+    quarters = np.stack([np.column_stack(t) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))], axis=1).reshape(
+        -1, 3
+    )
     return Layer(quarters, np.repeat(vessel, 4), np.repeat(chosen, 4))
 
 
@@ -116,7 +114,13 @@ def _parts(points: FloatArray, layer: Layer, sides: Mapping[str, FloatArray]) ->
     if not of_body:
         raise AnatomyError("the wall has no opening at the mitral valve.")
     mitral = max(of_body, key=lambda loop: paths.perimeter(points, loop))
-    return uac.Parts(points, layer.triangles, layer.vessel, mitral, **{k: sides.get(k) for k in ("lateral", "septal", "lspv_roof", "rspv_roof")})
+    return uac.Parts(
+        points,
+        layer.triangles,
+        layer.vessel,
+        mitral,
+        **{k: sides.get(k) for k in ("lateral", "septal", "lspv_roof", "rspv_roof")},
+    )
 
 
 def _through_the_wall(bundle: Bundle, on: Mapping[int, Layer], coordinate: FloatArray) -> FloatArray:

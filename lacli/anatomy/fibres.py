@@ -110,9 +110,7 @@ def laplace_dirichlet(
     grad = laplace.gradient(points, tets)
     bundle = bundles(fields, tets, tau)
     slope = {name: recovered(grad, fields[name], len(points)) for name in FIELDS}
-    k = np.where(
-        (bundle == MITRAL)[:, None], slope["r"], np.where((bundle == BODY)[:, None], slope["ab"], slope["v"])
-    )
+    k = np.where((bundle == MITRAL)[:, None], slope["r"], np.where((bundle == BODY)[:, None], slope["ab"], slope["v"]))
     tangent = k - np.sum(k * across, axis=1, keepdims=True) * across
     size = np.linalg.norm(tangent, axis=1)
     weak = size <= 1e-6 * np.maximum(np.linalg.norm(k, axis=1), 1e-300)

@@ -78,9 +78,13 @@ def read(path: Path) -> Image:
         image = sitk.ReadImage(str(path))
     except RuntimeError as error:
         reason = [line.strip() for line in str(error).splitlines() if line.strip()][-1]
-        raise InputError(f"{path}: the image cannot be read, the file may be truncated or of another format ({reason[:200]}).") from None
+        raise InputError(
+            f"{path}: the image cannot be read, the file may be truncated or of another format ({reason[:200]})."
+        ) from None
     if image.GetNumberOfComponentsPerPixel() != 1:
-        raise InputError(f"{path}: every voxel has {image.GetNumberOfComponentsPerPixel()} values; export one scalar label (or HU) per voxel.")
+        raise InputError(
+            f"{path}: every voxel has {image.GetNumberOfComponentsPerPixel()} values; export one scalar label (or HU) per voxel."
+        )
     if image.GetDimension() == 4 and image.GetSize()[3] == 1:
         image = image[:, :, :, 0]
     if image.GetDimension() != 3:
@@ -105,10 +109,12 @@ def _check_nifti_affine(path: Path) -> None:
     import struct
 
     try:
-        with (gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb")) as stream:
+        with gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb") as stream:
             header = stream.read(348)
     except (OSError, EOFError) as error:
-        raise InputError(f"{path}: the image cannot be read, the file is truncated or not compressed as its name says ({error}).") from None
+        raise InputError(
+            f"{path}: the image cannot be read, the file is truncated or not compressed as its name says ({error})."
+        ) from None
     if len(header) < 348:
         raise InputError(f"{path}: the file is truncated, its header has {len(header)} bytes of 348.")
     order = "<" if struct.unpack("<i", header[:4])[0] == 348 else ">"
@@ -152,7 +158,9 @@ def label_volumes(image: Image) -> dict[int, float]:
     array = image.array
     if array.dtype.kind == "f":
         if not np.array_equal(array, np.round(array)):
-            raise AnatomyError("the image has fractional values; a label map has whole numbers (is it a CT volume, or a probability map?).")
+            raise AnatomyError(
+                "the image has fractional values; a label map has whole numbers (is it a CT volume, or a probability map?)."
+            )
         array = array.astype(np.int64)
     values, counts = np.unique(array, return_counts=True)
     if len(values) > 256:

@@ -54,7 +54,9 @@ class Axes:
 LPS = Axes(np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), np.array([0, 0, 1.0]), True)
 
 
-def name_branches(skeleton: Skeleton, mitral_centre: FloatArray, world: Axes | None) -> tuple[dict[str, Branch], dict[str, float], list[str]]:
+def name_branches(
+    skeleton: Skeleton, mitral_centre: FloatArray, world: Axes | None
+) -> tuple[dict[str, Branch], dict[str, float], list[str]]:
     """Branches by name, confidence of each name, and notes.
 
     The appendage is low over the mitral valve, in front, and on the left; of the veins two are left, two right, and the
@@ -166,7 +168,11 @@ def _sides(
         if abs(len(first) - len(second)) > 1:
             continue
         spread = sum(
-            float(np.linalg.norm(np.array([branches[i].centre for i in g]) - np.mean([branches[i].centre for i in g], axis=0), axis=1).sum())
+            float(
+                np.linalg.norm(
+                    np.array([branches[i].centre for i in g]) - np.mean([branches[i].centre for i in g], axis=0), axis=1
+                ).sum()
+            )
             for g in (first, second)
         )
         if best is None or spread < best[0]:
@@ -231,7 +237,9 @@ def _across(normal: FloatArray) -> FloatArray:
     return e / np.linalg.norm(e)
 
 
-def _smallest_section(centre: FloatArray, normal: FloatArray, axis: FloatArray, radius_at: Any) -> tuple[FloatArray, FloatArray, float]:
+def _smallest_section(
+    centre: FloatArray, normal: FloatArray, axis: FloatArray, radius_at: Any
+) -> tuple[FloatArray, FloatArray, float]:
     """Centre the plane in the vessel and turn it, in small steps within MAX_TILT_DEG of ``axis``, to its smallest section."""
     area, middle = _section(normal, centre, radius_at)
     centre = centre + (middle - centre) * min(1.0, 2.0 / max(float(np.linalg.norm(middle - centre)), 1e-9))
@@ -292,7 +300,9 @@ def read(path: Path) -> Landmarks:
                 sides[key] = _vector(path, f"sides.{key}", value)
             continue
         if name not in OPENINGS and not name.startswith("extra"):
-            raise AnatomyError(f"{path}: unknown opening '{name}'; the known ones are {', '.join(OPENINGS)}, extra1, extra2, sides.")
+            raise AnatomyError(
+                f"{path}: unknown opening '{name}'; the known ones are {', '.join(OPENINGS)}, extra1, extra2, sides."
+            )
         if not isinstance(table, dict) or "centre" not in table or "normal" not in table:
             raise AnatomyError(f"{path}: [{name}] needs 'centre' (mm) and 'normal' (out of the atrium).")
         centre, normal = (_vector(path, f"{name}.{key}", table[key]) for key in ("centre", "normal"))

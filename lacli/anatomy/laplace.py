@@ -56,7 +56,9 @@ def stiffness(grad: Gradient, size: int) -> csr_matrix:
     return coo_matrix((local.ravel(), (rows, columns)), shape=(size, size)).tocsr()
 
 
-def solve(matrix: csr_matrix, fixed: Mapping[float, IntArray] | tuple[IntArray, FloatArray], tolerance: float = 1e-11) -> FloatArray:
+def solve(
+    matrix: csr_matrix, fixed: Mapping[float, IntArray] | tuple[IntArray, FloatArray], tolerance: float = 1e-11
+) -> FloatArray:
     """Harmonic field with the given values: ``fixed`` is {value: point ids}, or (point ids, values).
 
     Points that touch no cell get NaN. No clipping: on obtuse cells linear elements overshoot slightly, which is the

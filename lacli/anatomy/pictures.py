@@ -1,12 +1,26 @@
-"""Pictures for the quality report."""
+"""Pictures of an anatomy: regions, fibres, thickness, the coordinate square, cut views. PNG, no display needed."""
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from lacli.anatomy.bundle import ENDO, EPI, OPENINGS, PLANES, REGIONS, RINGS, Bundle
 from lacli.anatomy.surface import Surface
+
+# off screen rendering must not look for an X server
+os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
+
+FloatArray = NDArray[np.float64]
+
+# colour-blind safe (Okabe and Ito 2008); rings grey, planes pale
+COLOURS = {"anterior": "#0072B2", "posterior": "#E69F00", "septum": "#009E73", "lateral": "#CC79A7", "roof": "#F0E442"}
+RING, PLANE = "#7f7f7f", "#e8e4dc"
 
 
 def polydata(surface: Surface) -> Any:
@@ -17,3 +31,258 @@ def polydata(surface: Surface) -> Any:
     mesh = pv.PolyData(surface.points, faces.ravel())
     mesh.cell_data["label"] = surface.label
     return mesh
+
+
+def _boundary(bundle: Bundle, keep: NDArray[np.bool_]) -> Any:
+    from lacli.anatomy.coordinates import cell_label
+    from lacli.anatomy.thickness import straight
+
+    faces = bundle.triangles[keep]
+    fine = straight(faces)
+    repeat = len(fine) // max(len(faces), 1)
+    label = np.tile(cell_label(bundle, faces[:, :3]), repeat)
+    return polydata(Surface(bundle.points, fine, label))
+
+
+def views(bundle: Bundle) -> list[tuple[str, FloatArray, FloatArray]]:
+    """Four looks at the atrium: name, direction to the camera, up; from its own openings, whatever the frame of the input."""
+    centre = {}
+    for name in OPENINGS:
+        tris = bundle.triangles[bundle.tags == PLANES[name], :3]
+        if len(tris):
+            centre[name] = bundle.points[tris].reshape(-1, 3).mean(axis=0)
+    if not {"mv", "rspv", "ripv", "lspv", "lipv"} <= set(centre):
+        up, left = np.array([0.0, 0, 1]), np.array([1.0, 0, 0])
+    else:
+        up = np.mean([centre[n] for n in ("rspv", "ripv", "lspv", "lipv")], axis=0) - centre["mv"]
+        left = centre["lspv"] + centre["lipv"] - centre["rspv"] - centre["ripv"]
+    up = up / np.linalg.norm(up)
+    left = left - (left @ up) * up
+    left /= np.linalg.norm(left)
+    back = np.cross(up, left)
+    return [
+        ("from the front", -back, up),
+        ("from the back", back, up),
+        ("from the left", left, up),
+        ("from the right", -left, up),
+        ("from above", up, -back),
+        ("through the valve", -up, -back),
+    ]
+
+
+def _panels(file: Path, bundle: Bundle, chosen: Sequence[int], draw: Callable[[Any], None], title: str) -> None:
+    import pyvista as pv
+
+    looks = [views(bundle)[i] for i in chosen]
+    rows = 1 if len(looks) <= 3 else 2
+    columns = (len(looks) + rows - 1) // rows
+    plotter = pv.Plotter(off_screen=True, shape=(rows, columns), window_size=(620 * columns, 600 * rows), border=False)
+    middle = (bundle.points.max(axis=0) + bundle.points.min(axis=0)) / 2
+    reach = float(np.linalg.norm(np.ptp(bundle.points, axis=0)) / 2)
+    for k, (name, direction, up) in enumerate(looks):
+        plotter.subplot(k // columns, k % columns)
+        plotter.set_background("white")
+        draw(plotter)
+        plotter.add_text(f"{title}, {name}" if k == 0 else name, font_size=11, color="black", position="upper_left")
+        plotter.enable_parallel_projection()
+        plotter.camera.focal_point = middle
+        plotter.camera.position = middle + 5 * reach * direction
+        plotter.camera.up = up
+        plotter.camera.parallel_scale = 0.82 * reach
+    _shoot(plotter, file)
+
+
+def _shoot(plotter: Any, file: Path) -> None:
+    temporary = file.with_name(f".part-{os.getpid()}-{file.name}")
+    plotter.screenshot(str(temporary))
+    plotter.close()
+    os.replace(temporary, file)
+
+
+def regions(bundle: Bundle, file: Path) -> None:
+    """Regions, rings and planes, six views."""
+    surface = _boundary(bundle, bundle.tags != ENDO)
+    label = np.asarray(surface.cell_data["label"])
+
+    def draw(plotter: Any) -> None:
+        groups = [(COLOURS[n], label == v, n) for n, v in REGIONS.items()]
+        groups += [(RING, (label >= 11) & (label <= 16), "rings"), (PLANE, label >= 21, "valve planes")]
+        for colour, mine, name in groups:
+            if mine.any():
+                plotter.add_mesh(surface.extract_cells(mine), color=colour, smooth_shading=False, label=name)
+        plotter.add_legend(bcolor=None, face="rectangle", size=(0.26, 0.22), loc="lower left")
+
+    _panels(file, bundle, range(6), draw, "Regions")
+
+
+def fibres(bundle: Bundle, file: Path) -> None:
+    """Fibres of the inner and the outer half of the wall as strokes."""
+    import pyvista as pv
+
+    if bundle.fibre is None or bundle.transmural is None:
+        return
+    corner = bundle.tets[:, :4]
+    centre = bundle.points[corner].mean(axis=1)
+    depth = bundle.transmural[corner].mean(axis=1)
+    wall = bundle.region < 20
+    halves = {"outer half of the wall": (wall & (depth >= 0.5), EPI), "inner half of the wall": (wall & (depth < 0.5), ENDO)}
+    looks = views(bundle)
+    plotter = pv.Plotter(off_screen=True, shape=(2, 3), window_size=(1860, 1200), border=False)
+    middle = (bundle.points.max(axis=0) + bundle.points.min(axis=0)) / 2
+    reach = float(np.linalg.norm(np.ptp(bundle.points, axis=0)) / 2)
+    size = float(np.median(np.linalg.norm(bundle.points[corner[:, 0]] - bundle.points[corner[:, 1]], axis=1)))
+    for row, (name, (mine, side)) in enumerate(halves.items()):
+        skin = _boundary(bundle, (bundle.tags == side) | (bundle.tags >= 11))
+        for column, look in enumerate((0, 1, 2)):
+            plotter.subplot(row, column)
+            plotter.set_background("white")
+            title, direction, up = looks[look]
+            plotter.add_mesh(skin, color="#f2e9e4", smooth_shading=True)
+            f = bundle.fibre[mine]
+            # strokes lie just over the skin, on the side of the camera only
+            lift = (centre[mine] - middle) / np.linalg.norm(centre[mine] - middle, axis=1)[:, None] * 0.8
+            start = centre[mine] - 0.45 * size * f + lift
+            end = centre[mine] + 0.45 * size * f + lift
+            lines = np.column_stack([np.full(len(f), 2), np.arange(len(f)), len(f) + np.arange(len(f))])
+            strokes = pv.PolyData(np.vstack([start, end]), lines=lines.ravel())
+            strokes.cell_data["direction"] = np.abs(f @ up)
+            plotter.add_mesh(
+                strokes,
+                scalars="direction",
+                cmap="viridis",
+                clim=(0, 1),
+                line_width=2.0,
+                show_scalar_bar=row == 1 and column == 2,
+                scalar_bar_args={
+                    "title": "|fibre . valve-to-roof axis| (-)",
+                    "color": "black",
+                    "title_font_size": 15,
+                    "label_font_size": 13,
+                },
+            )
+            plotter.add_text(f"{name}, {title}", font_size=11, color="black", position="upper_left")
+            plotter.enable_parallel_projection()
+            plotter.camera.focal_point = middle
+            plotter.camera.position = middle + 5 * reach * direction
+            plotter.camera.up = up
+            plotter.camera.parallel_scale = 0.82 * reach
+    _shoot(plotter, file)
+
+
+def thickness(bundle: Bundle, ids: NDArray[np.int64], values: FloatArray, file: Path) -> None:
+    """Wall thickness (mm) on the endocardium, four views."""
+    tris = bundle.triangles[bundle.tags == ENDO, :3]
+    mesh = polydata(Surface(bundle.points, tris, np.zeros(len(tris), dtype=np.int64)))
+    field = np.full(len(bundle.points), np.nan)
+    field[ids] = values
+    mesh.point_data["thickness"] = field
+    low, high = np.percentile(values, [1, 99])
+    if high - low < 0.2:
+        low, high = low - 0.1, high + 0.1
+
+    def draw(plotter: Any) -> None:
+        plotter.add_mesh(
+            mesh,
+            scalars="thickness",
+            cmap="viridis",
+            clim=(float(low), float(high)),
+            smooth_shading=True,
+            scalar_bar_args={
+                "title": "wall thickness (mm)",
+                "color": "black",
+                "title_font_size": 16,
+                "label_font_size": 14,
+                "vertical": False,
+            },
+        )
+
+    _panels(file, bundle, (0, 1, 2, 3), draw, "Thickness (eikonal)")
+
+
+def cuts(bundle: Bundle, file: Path) -> None:
+    """Three cuts through the wall, coloured by transmural coordinate."""
+    import pyvista as pv
+
+    corner = bundle.tets[:, :4]
+    cells = np.column_stack([np.full(len(corner), 4), corner])
+    grid = pv.UnstructuredGrid(cells.ravel(), np.full(len(corner), pv.CellType.TETRA), bundle.points)
+    depth = bundle.transmural if bundle.transmural is not None else np.zeros(len(bundle.points))
+    grid.point_data["transmural"] = depth
+    grid.cell_data["region"] = bundle.region
+    looks = views(bundle)
+    middle = bundle.points[np.unique(bundle.cavity_triangles())].mean(axis=0)
+    reach = float(np.linalg.norm(np.ptp(bundle.points, axis=0)) / 2)
+    plotter = pv.Plotter(off_screen=True, shape=(1, 3), window_size=(1860, 640), border=False)
+    for k, look in enumerate((0, 2, 4)):
+        plotter.subplot(0, k)
+        plotter.set_background("white")
+        title, direction, up = looks[look]
+        half = grid.clip(normal=direction, origin=middle, crinkle=False)
+        section = grid.slice(normal=direction, origin=middle)
+        plotter.add_mesh(half.extract_surface(algorithm="dataset_surface"), color="#f2e9e4", opacity=1.0)
+        plotter.add_mesh(
+            section,
+            scalars="transmural",
+            cmap="coolwarm",
+            clim=(0, 1),
+            line_width=1,
+            show_edges=True,
+            show_scalar_bar=k == 2,
+            scalar_bar_args={
+                "title": "transmural (0 endo, 1 epi)",
+                "color": "black",
+                "title_font_size": 15,
+                "label_font_size": 13,
+            },
+        )
+        plotter.add_text(f"cut, seen {title}", font_size=11, color="black", position="upper_left")
+        plotter.enable_parallel_projection()
+        plotter.camera.focal_point = middle
+        plotter.camera.position = middle + 5 * reach * direction
+        plotter.camera.up = up
+        plotter.camera.parallel_scale = 0.75 * reach
+    _shoot(plotter, file)
+
+
+def square(bundle: Bundle, file: Path) -> None:
+    """The endocardium in the square of universal coordinates, coloured by region."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+    from matplotlib.collections import PolyCollection
+    from matplotlib.patches import Patch
+
+    if bundle.uac is None:
+        return
+    from lacli.anatomy.coordinates import ENDO as inner
+    from lacli.anatomy.coordinates import cell_label, layer_of
+
+    layer = layer_of(bundle, inner)
+    label = cell_label(bundle, bundle.triangles[layer.source, :3])
+    corner = bundle.uac[layer.triangles]
+    whole = np.ptp(corner, axis=1).max(axis=1) < 0.25
+    names = {v: n for n, v in REGIONS.items()} | {v: "rings" for v in RINGS.values()}
+    colour = [COLOURS.get(names[int(v)], RING) for v in label[whole]]
+    figure, axis = plt.subplots(figsize=(6.4, 6.0), dpi=150)
+    axis.add_collection(PolyCollection(list(corner[whole]), facecolors=colour, edgecolors="#00000030", linewidths=0.3))
+    for name in OPENINGS[1:]:
+        mine = layer.vessel == name
+        if mine.any():
+            x, y = bundle.uac[np.unique(layer.triangles[mine])].mean(axis=0)
+            text = "LAA" if name == "appendage" else name.upper()
+            axis.text(
+                x, y, text, ha="center", va="center", fontsize=8, bbox={"boxstyle": "round,pad=0.2", "fc": "white", "ec": "none"}
+            )
+    axis.set(xlim=(-0.01, 1.01), ylim=(-0.01, 1.01), aspect="equal")
+    axis.set_xlabel("alpha (-): 0 septal, 1 lateral")
+    axis.set_ylabel("beta (-): 0 posterior mitral rim, 1 anterior mitral rim")
+    legend = [Patch(color=c, label=n) for n, c in COLOURS.items()] + [Patch(color=RING, label="rings")]
+    axis.legend(
+        handles=legend, loc="upper center", bbox_to_anchor=(0.5, 1.1), ncol=6, frameon=False, fontsize=8, handlelength=1.0
+    )
+    figure.tight_layout()
+    temporary = file.with_name(f".part-{os.getpid()}-{file.name}")
+    figure.savefig(temporary)
+    plt.close(figure)
+    os.replace(temporary, file)

@@ -126,9 +126,7 @@ def coordinates(parts: Parts) -> FloatArray:
         in_wall = np.zeros(len(points), dtype=bool)
         in_wall[cells] = True
         frame = _Frame(points, across, up, in_wall & ~on_border, graph, junction, rim)
-        fixed_across, fixed_up = (
-            _posterior_values(frame) if name == "posterior" else _anterior_values(frame, parts, lspv, rspv)
-        )
+        fixed_across, fixed_up = _posterior_values(frame) if name == "posterior" else _anterior_values(frame, parts, lspv, rspv)
         for values, pairs in ((fixed_across, ((lateral, 0.0), (septal, 1.0))), (fixed_up, ((parts.mitral, 0.0), (roof, 1.0)))):
             for ids, value in pairs:
                 values.put(ids[in_wall[ids]], value)
@@ -165,7 +163,9 @@ def _vessel_loops(parts: Parts) -> tuple[dict[str, IntArray], dict[str, IntArray
     return junction, rim
 
 
-def _superior(points: FloatArray, loop: IntArray, inferior: IntArray, roof_side: FloatArray | None, between: FloatArray) -> _Superior:
+def _superior(
+    points: FloatArray, loop: IntArray, inferior: IntArray, roof_side: FloatArray | None, between: FloatArray
+) -> _Superior:
     distance = np.linalg.norm(points[loop][:, None] - points[inferior][None], axis=2)
     near = int(loop[int(np.argmin(distance.min(axis=1)))])
     far = int(loop[int(np.argmax(np.linalg.norm(points[loop] - points[near], axis=1)))])
