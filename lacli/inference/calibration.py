@@ -6,6 +6,7 @@ all random numbers come from the seed and the step's number: an interrupted cali
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import time
@@ -25,11 +26,10 @@ from lacli.inference.emulator import fit_emulators
 from lacli.inference.emulator_set import EmulatorSet, load_emulators, save_emulators
 from lacli.inference.feasibility import learn
 from lacli.inference.likelihood import Density
-from lacli.inference.matching import Match, Region, Wave, converged, match, next_runs, ruled_out_by
+from lacli.inference.matching import Match, Region, Wave, match, next_runs, ruled_out_by
 from lacli.inference.nroy import EmptyRegionError, RegionSample
 from lacli.inference.runs import RunLog, Simulator
 from lacli.inference.targets import Targets
-from lacli.inference.validation import cross_validate
 from lacli.store import replacing, write_json
 
 FloatArray = NDArray[np.float64]
@@ -48,7 +48,7 @@ class Settings:
     max_runs: int = 10_000
     hours: float = float("inf")
     draws: int = 8
-    starts: int = 3
+    starts: int = 2
     prior: str = "nroy"
     seed: int = 0
     mcmc: mcmc.Settings = field(default_factory=mcmc.Settings)
@@ -56,16 +56,17 @@ class Settings:
 
 @dataclass(frozen=True)
 class WaveReport:
-    """One wave, as recorded: runs used and failed, r2 and ise by output, share of the box left with standard error."""
+    """One wave, as recorded: runs used and failed, held-out R2 by output, share of the box left with standard error,
+    change: the part of it that better emulators removed (NaN in the first wave)."""
 
     wave: int
     runs: int
     failed: int
     threshold: float
     r2: dict[str, float]
-    ise: dict[str, float]
     share: float
     share_sd: float
+    change: float
     notes: list[str]
 
 
@@ -122,19 +123,23 @@ def calibrate(
     x = given if given is not None else design(box, settings.first_runs, "sobol", settings.seed)
     region, reports, samples, stopped = Region(box), [], [], ""
     emulators: EmulatorSet | None = None
+    found: Match | None = None
     number = 0
     while not stopped:
         number += 1
         if simulator is not None:
             log.run(simulator, x, lambda done, total: monitor(Status("runs", number, done, total, tuple(reports))))
-        monitor(Status("emulators", number, 0, 1, tuple(reports)))
         place = folder / f"wave_{number}"
-        emulators, scores, notes, finished_x, failed_x = _emulators(log, x, targets, settings, place)
+        fitted = itertools.count(1)
+        emulators, notes, finished_x, failed_x = _emulators(
+            log, x, targets, settings, place,
+            lambda: monitor(Status("emulators", number, next(fitted), len(targets.names), tuple(reports))),
+        )  # fmt: skip
         wave = Wave(emulators, targets, settings.thresholds[min(number, len(settings.thresholds)) - 1])
         region = region.add(wave)
         monitor(Status("matching", number, 0, 1, tuple(reports)))
         try:
-            found = _match(region, settings, number, place)
+            found = _match(region, settings, number, place, found)
         except EmptyRegionError as error:
             raise LacliError(
                 "calibrate: no point of the box agrees with all targets: at the nearest one, "
@@ -143,14 +148,17 @@ def calibrate(
             ) from error
         samples.append(found.sample)
         reports.append(
-            WaveReport(number, len(finished_x), len(failed_x), wave.threshold, scores["r2"], scores["ise"], found.share, found.share_sd, notes)
+            WaveReport(
+                number, len(finished_x), len(failed_x), wave.threshold, {e.output: e.held_out_r2 for e in emulators.emulators},
+                found.share, found.share_sd, found.change, notes,
+            )  # fmt: skip
         )
         monitor(Status("wave done", number, 1, 1, tuple(reports)))
-        same_threshold = number >= len(settings.thresholds)
+        last_threshold = number >= len(settings.thresholds)
         elapsed = (time.monotonic() - begin) / 3600.0
         if simulator is None:
             stopped = "runs from a table"
-        elif same_threshold and converged([r.share for r in reports], settings.tolerance):
+        elif last_threshold and number > 1 and found.change < settings.tolerance:
             stopped = f"the region changed by less than {settings.tolerance:.0%}"
         elif number >= settings.max_waves:
             stopped = f"{settings.max_waves} waves were allowed"
@@ -226,34 +234,32 @@ def _same_settings(folder: Path, box: Box, targets: Targets, settings: Settings,
 
 
 def _emulators(
-    log: RunLog, x: FloatArray, targets: Targets, settings: Settings, place: Path
-) -> tuple[EmulatorSet, dict[str, dict[str, float]], list[str], FloatArray, FloatArray]:
+    log: RunLog, x: FloatArray, targets: Targets, settings: Settings, place: Path, tick: Callable[[], None]
+) -> tuple[EmulatorSet, list[str], FloatArray, FloatArray]:
     table = log.table(x)
     missing = [name for name in targets.names if name not in table.outputs]
     if missing or table.inputs != log.inputs:
         raise LacliError("calibrate: " + " ".join(table.notes))
     table = table.select(targets.names)
-    file, scores_file = place / "emulators.npz", place / "scores.json"
-    if not (file.is_file() and scores_file.is_file()):
-        scores = cross_validate(table, starts=1, seed=settings.seed)
-        fitted = fit_emulators(table, starts=settings.starts, seed=settings.seed)
+    file = place / "emulators.npz"
+    if not file.is_file():
+        fitted = fit_emulators(table, starts=settings.starts, seed=settings.seed, tick=tick)
         save_emulators(file, EmulatorSet(table.inputs, tuple(fitted)))
-        write_json(scores_file, {"r2": {s.output: s.r2 for s in scores}, "ise": {s.output: s.ise for s in scores}})
-    return load_emulators(file), json.loads(scores_file.read_text(encoding="utf-8")), list(table.notes), table.x, table.failed_x
+    return load_emulators(file), list(table.notes), table.x, table.failed_x
 
 
-def _match(region: Region, settings: Settings, number: int, place: Path) -> Match:
+def _match(region: Region, settings: Settings, number: int, place: Path, previous: Match | None) -> Match:
     file = place / "region.npz"
     if not file.is_file():
-        found = match(region, seed=settings.seed + number)
+        found = match(region, seed=settings.seed + number, previous=previous)
         s = found.sample
         with replacing(file) as temporary, temporary.open("wb") as stream:
-            numbers = np.array([s.volume, s.volume_sd, s.acceptance, s.correlation, s.evaluations, found.share, found.share_sd, found.by_sweep])
-            np.savez_compressed(stream, points=s.points, level=s.level, numbers=numbers)
+            numbers = [s.volume, s.volume_sd, s.acceptance, s.correlation, s.evaluations, found.share, found.share_sd, found.change]
+            np.savez_compressed(stream, points=s.points, level=s.level, numbers=np.array(numbers, float))
     with np.load(file, allow_pickle=False) as a:
         v = [float(value) for value in a["numbers"]]
         sample = RegionSample(a["points"], a["level"], v[0], v[1], v[2], v[3], int(v[4]))
-        return Match(sample, v[5], v[6], bool(v[7]))
+        return Match(sample, v[5], v[6], v[7])
 
 
 def _next(

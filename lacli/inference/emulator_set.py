@@ -256,7 +256,7 @@ def save_emulators(path: Path, emulators: EmulatorSet) -> None:
     for i, e in enumerate(emulators.emulators):
         arrays |= {
             f"{i}_log_inputs": e.log_inputs, f"{i}_low": e.low, f"{i}_high": e.high,
-            f"{i}_scales": np.array([e.log_output, e.shift, e.scale, e.inflation, e.process.objective], float),
+            f"{i}_scales": np.array([e.log_output, e.shift, e.scale, e.inflation, e.held_out_r2, e.process.objective], float),
             f"{i}_theta": e.process.theta, f"{i}_u": e.process.u, f"{i}_y": e.process.y, f"{i}_noise": e.process.noise,
         }  # fmt: skip
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -277,12 +277,12 @@ def load_emulators(path: Path) -> EmulatorSet:
                 raise InputError(f"{path}: written in format {int(a['format'])}, this program reads {FORMAT}. Run `lacli emulate` again.")
             emulators = []
             for i, output in enumerate(a["outputs"]):
-                log_output, shift, scale, inflation, objective = (float(v) for v in a[f"{i}_scales"])
+                log_output, shift, scale, inflation, r2, objective = (float(v) for v in a[f"{i}_scales"])
                 process = gp.condition(a[f"{i}_theta"], a[f"{i}_u"], a[f"{i}_y"], a[f"{i}_noise"], objective)
                 emulators.append(
                     Emulator(
-                        str(output), a[f"{i}_log_inputs"], a[f"{i}_low"], a[f"{i}_high"], bool(log_output), shift, scale,
-                        inflation, process,
+                        str(output), a[f"{i}_log_inputs"], a[f"{i}_low"], a[f"{i}_high"], bool(log_output), shift, scale, inflation,
+                        r2, process,
                     )
                 )  # fmt: skip
             return EmulatorSet(tuple(str(name) for name in a["inputs"]), tuple(emulators))

@@ -6,7 +6,7 @@ region is what no wave has ruled out.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +24,7 @@ FloatArray = NDArray[np.float64]
 
 # a region smaller than this share of the sweep's points is measured by nested levels instead
 _FEWEST_INSIDE = 400
+_WALKERS = 2000
 
 
 @dataclass(frozen=True)
@@ -114,9 +115,16 @@ class Region:
         """The region with one more wave."""
         return Region(self.box, (*self.waves, wave))
 
-    def sample(self, count: int, seed: int = 0, walkers: int = 2000, tick: Callable[[float], None] | None = None) -> RegionSample:
-        """``count`` points uniform in the region and its volume; raises nroy.EmptyRegionError if there is none."""
-        return sample_region(self.level, self.box, count, seed, walkers, tick, self.below)
+    def sample(
+        self,
+        count: int,
+        seed: int = 0,
+        walkers: int = 2000,
+        tick: Callable[[float], None] | None = None,
+        start: FloatArray | None = None,
+    ) -> RegionSample:
+        """``count`` points uniform in the region and its volume; see ``nroy.sample_region``."""
+        return sample_region(self.level, self.box, count, seed, walkers, tick, self.below, start)
 
 
 @dataclass(frozen=True)
@@ -143,33 +151,55 @@ def sweep(region: Region, count: int = 100_000, seed: int = 0) -> Sweep:
 
 @dataclass(frozen=True)
 class Match:
-    """A wave's result: a uniform sample of the region, its share of the box with standard error, and the method."""
+    """A wave's result: a uniform sample of the region; its share of the box with standard error; change: the share of
+    what the wave before would have left at this threshold that the new emulators rule out (NaN for a first wave)."""
 
     sample: RegionSample
     share: float
     share_sd: float
-    by_sweep: bool
+    change: float
 
 
 @single_threaded
 def match(
-    region: Region, count: int = 10_000, sweep_points: int = 100_000, seed: int = 0, tick: Callable[[float], None] | None = None
+    region: Region,
+    count: int = 10_000,
+    sweep_points: int = 100_000,
+    seed: int = 0,
+    previous: Match | None = None,
+    tick: Callable[[float], None] | None = None,
 ) -> Match:
-    """Sweep the box; measure the region by the sweep where it is large enough, by nested levels where it is small.
+    """Measure and sample the region.
 
-    Raises nroy.EmptyRegionError if nothing is left.
+    A first wave sweeps the box; where too little of it is left for that, nested levels measure. With the ``previous``
+    wave's result the new share is the old one times the share of the old sample that is still inside: far more precise
+    than two separate measurements, which is what a stop at 1 % change needs. Raises nroy.EmptyRegionError if nothing is left.
     """
-    swept = sweep(region, sweep_points, seed)
-    inside = np.flatnonzero(swept.inside)
-    if len(inside) >= count:
-        pick = np.sort(np.random.default_rng(seed).permutation(inside)[:count])
-        points = swept.points[pick]
-        direct = RegionSample(points, region.level(points), swept.share, swept.share_sd, 1.0, 0.0, len(swept.points))
-        return Match(direct, swept.share, swept.share_sd, True)
-    sample = region.sample(count, seed, tick=tick)
-    if len(inside) >= _FEWEST_INSIDE:
-        return Match(sample, swept.share, swept.share_sd, True)
-    return Match(sample, sample.volume, sample.volume_sd, False)
+    if previous is not None:
+        old = previous.sample.points
+        inside = region.contains(old)
+        ratio = float(inside.mean())
+        wave, before = region.waves[-1], region.waves[-2]
+        same = before.level(old) * (before.threshold / wave.threshold) < 1.0
+        change = 1.0 - float(inside[same].mean()) if same.any() else 1.0
+        if inside.sum() >= _FEWEST_INSIDE:
+            share = previous.share * ratio
+            relative = (previous.share_sd / previous.share) ** 2 + (1.0 - ratio) / (ratio * len(old))
+            start = old[inside] if inside.sum() >= _WALKERS else None
+            return Match(region.sample(count, seed, _WALKERS, tick, start), share, share * float(np.sqrt(relative)), change)
+    else:
+        change = float("nan")
+        swept = sweep(region, sweep_points, seed)
+        rows = np.flatnonzero(swept.inside)
+        if len(rows) >= count:
+            points = swept.points[np.sort(np.random.default_rng(seed).permutation(rows)[:count])]
+            direct = RegionSample(points, region.level(points), swept.share, swept.share_sd, 1.0, 0.0, len(swept.points))
+            return Match(direct, swept.share, swept.share_sd, change)
+        if len(rows) >= _FEWEST_INSIDE:
+            start = swept.points[rows] if len(rows) >= _WALKERS else None
+            return Match(region.sample(count, seed, _WALKERS, tick, start), swept.share, swept.share_sd, change)
+    sample = region.sample(count, seed, _WALKERS, tick)
+    return Match(sample, sample.volume, sample.volume_sd, change)
 
 
 def next_runs(sample: RegionSample, count: int, existing: FloatArray) -> FloatArray:
@@ -179,11 +209,6 @@ def next_runs(sample: RegionSample, count: int, existing: FloatArray) -> FloatAr
     """
     centre, spread = sample.points.mean(0), np.maximum(sample.points.std(0), 1e-300)
     return sample.points[farthest((sample.points - centre) / spread, count, (existing - centre) / spread)]
-
-
-def converged(shares: Sequence[float], tolerance: float = 0.01) -> bool:
-    """Whether the region's share of the box changed by less than ``tolerance`` of itself in the last wave."""
-    return len(shares) >= 2 and abs(shares[-1] - shares[-2]) < tolerance * shares[-2]
 
 
 def ruled_out_by(wave: Wave, x: FloatArray) -> str:

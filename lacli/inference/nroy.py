@@ -63,17 +63,24 @@ def sample_region(
     walkers: int = 2000,
     tick: Callable[[float], None] | None = None,
     below: Below | None = None,
+    start: FloatArray | None = None,
 ) -> RegionSample:
     """``count`` points uniform on {level < 1} within the box.
 
     level: (m, d) -> (m,); below(x, t): whether level(x) < t, where that is cheaper than the level itself.
     walkers: size of the population. tick(t) is called with each level. Raises EmptyRegionError if the levels stop
-    falling before 1.
+    falling before 1. start (m, d): points already known to be uniform in the region (and m >= walkers); the levels are
+    then skipped and the volume is NaN.
     """
     rng = np.random.default_rng(seed)
     population = _Population(level, below or (lambda x, t: level(x) < t), box, rng, walkers)
     volume, relative = 1.0, 0.0
-    while True:
+    if start is not None and len(start) >= walkers:
+        population.x = start[rng.permutation(len(start))[:walkers]]
+        population.restart(np.arange(walkers), 1.0)
+        population.forget(_FORGOTTEN)
+        volume = float("nan")
+    while start is None or len(start) < walkers:
         t = max(1.0, float(np.quantile(population.value, _SURVIVE)))
         if tick is not None:
             tick(t)
