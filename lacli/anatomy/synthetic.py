@@ -8,8 +8,8 @@ from functools import lru_cache
 import numpy as np
 
 from lacli.anatomy.bundle import Bundle
+from lacli.anatomy.coordinates import describe
 from lacli.anatomy.cut import cut_open
-from lacli.anatomy.frame import unit
 from lacli.anatomy.shell import mesh_shell
 from lacli.anatomy.surface import WALL, FloatArray, Surface, compact
 from lacli.anatomy.synthetic_shape import COHORT_ML, Shape, cohort_volume, draw
@@ -28,15 +28,19 @@ def synthesize(
     frames: int = 10,
     descent_mm: float = 8.0,
     layers: int | None = None,
+    rule: str = "laplace-dirichlet",
 ) -> tuple[Bundle, Motion]:
     """Bundle and annulus motion of a seed.
 
     volume_ml: cavity volume with the planes closed, None: the seed's own from the cohort's range. The mesh's curved
-    cavity volume is within the discretisation of that. Raises AnatomyError for an argument out of range.
+    cavity volume is within the discretisation of that. ``rule``: of coordinates.RULES, regions then follow the universal
+    atrial coordinates; or "simple": sectors and two-layer fibres by the shape's own axes (see frame). Raises AnatomyError for an argument out of range.
     """
     shape = sized(seed, volume_ml)
     surface = cavity(shape)
     bundle = mesh_shell(surface, thickness_mm, cell_size_mm, order=order, layers=layers)
+    if rule != "simple":
+        bundle = describe(bundle, rule=rule).bundle
     info = {"source": "parametric left atrium", "seed": seed, "thickness_mm": thickness_mm, "cell_size_mm": cell_size_mm}
     bundle = replace(bundle, info={**info, **bundle.info})
     return bundle, descend(bundle, frames=frames, descent_mm=descent_mm)

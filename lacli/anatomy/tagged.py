@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import meshio
@@ -14,6 +14,7 @@ from lacli.anatomy import laplace
 from lacli.anatomy.bundle import ENDO, EPI, OPENINGS, OTHER, PLANES, RINGS, Bundle
 from lacli.anatomy.caps import Plate, extrude_plate, rim_loops, triangulate_loop
 from lacli.anatomy.cells import boundary_faces, elevate, row_keys, volumes
+from lacli.anatomy.coordinates import describe
 from lacli.anatomy.frame import frame_from_openings, height, sectors, sweep, two_layer_fibres, unit
 from lacli.anatomy.surface import FloatArray, IntArray, Surface, check, compact, unique_edges
 from lacli.errors import AnatomyError
@@ -49,20 +50,25 @@ def read_tagged(
     thickness_mm: float = 2.0,
     ring_width_mm: float = 2.5,
     chamber: str = "Left atrium",
+    rule: str = "laplace-dirichlet",
 ) -> Bundle:
     """Read tetrahedra, their named surfaces and the names' ids into a bundle.
 
     ``cell_size_mm`` None keeps the tetrahedra as they are and adds the valve planes (each cap and the wall's cut face
     around it, extruded outward by ``thickness_mm``); a number remeshes the closed cavity surface to that edge
-    length and builds a wall of ``thickness_mm`` round it. ``chamber`` is the prefix of its surfaces' names.
+    length and builds a wall of ``thickness_mm`` round it. ``chamber`` is the prefix of its surfaces' names. ``rule``: of
+    coordinates.RULES, with regions by universal atrial coordinates, or "simple": both by the atrium's axes (see frame).
     Raises AnatomyError where a file, a name or a surface does not fit.
     """
     mesh = read_mesh(Path(tets_file), Path(surfaces_file), Path(names_json), chamber)
     if cell_size_mm is not None:
         from lacli.anatomy.shell import mesh_shell
 
-        return mesh_shell(mesh.cavity, thickness_mm, cell_size_mm, order=order)
-    return _as_is(mesh, order, thickness_mm, ring_width_mm, str(tets_file))
+        bundle = mesh_shell(mesh.cavity, thickness_mm, cell_size_mm, order=order, ring_width_mm=ring_width_mm)
+        bundle = replace(bundle, info={"source": str(tets_file), **bundle.info})
+    else:
+        bundle = _as_is(mesh, order, thickness_mm, ring_width_mm, str(tets_file))
+    return bundle if rule == "simple" else describe(bundle, rule=rule).bundle
 
 
 def read_mesh(tets_file: Path, surfaces_file: Path, names_json: Path, chamber: str) -> TaggedMesh:
