@@ -110,6 +110,7 @@ def test_closing_the_iterator_ends_the_workers_cleanly(scene_of: SceneOf, tmp_pa
     root = tmp_path / "runs"
     series = run_scenes(scenes(scene_of, 0.1, 8), root, workers=2, task=stored)
     assert next(iter(series))[0] == 0
+    wait_for(lambda: list(root.glob(".tmp-*/scene.toml")))
     series.close()  # type: ignore[attr-defined]
     assert len(list_runs(root)) == 1
     assert not list(root.glob(".tmp-*")), "the hanging run has cleaned up after itself"
@@ -139,16 +140,21 @@ def test_interrupted_or_killed_series_leaves_no_process(scene_of: SceneOf, tmp_p
         assert main.stdout.readline() == "0\n"
         workers = Path(f"/proc/{main.pid}/task/{main.pid}/children").read_text().split()
         assert len(workers) >= 2
+        wait_for(lambda: list(root.glob(".tmp-*/scene.toml")))  # the second has begun
         main.send_signal(how)
         main.communicate(timeout=20)
-    end = time.monotonic() + 5
-    while alive := [pid for pid in workers if Path(f"/proc/{pid}").exists() and state(pid) != "Z"]:
-        assert time.monotonic() < end, alive
-        time.sleep(0.05)
+    wait_for(lambda: all(state(pid) == "Z" for pid in workers))
     assert len(list_runs(root)) == 1
     assert bool(list(root.glob(".tmp-*"))) == (how == signal.SIGKILL)
     list(run_scenes([scene_of("loads.edp_mmhg=0.3")], root, workers=1, task=stored))
     assert not list(root.glob(".tmp-*"))
+
+
+def wait_for(condition: Callable[[], object], seconds: float = 10) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.02)
 
 
 def state(pid: str) -> str:
