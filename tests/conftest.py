@@ -7,10 +7,15 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from lacli.errors import SolverMissingError
 from lacli.mechanics.freefem import FreeFem, find
 from lacli.scene import Scene, build_scene
+
+# a busy machine is no reason to fail: the time of one example is not what is tested
+settings.register_profile("lacli", deadline=None)
+settings.load_profile("lacli")
 
 
 @pytest.fixture(scope="session")
