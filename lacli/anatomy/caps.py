@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from lacli.anatomy.cells import row_keys, volumes
 from lacli.anatomy.frame import unit
 from lacli.anatomy.prisms import shorter_diagonals, split_prisms
-from lacli.anatomy.surface import FloatArray, IntArray, unique_edges
+from lacli.anatomy.surface import FloatArray, IntArray, nearest, unique_edges
 from lacli.errors import AnatomyError
 
 
@@ -105,7 +104,7 @@ def _even_tops(base: FloatArray, triangles: IntArray, edges: IntArray, step: Flo
 def _annulus(points: FloatArray, rim: IntArray, faces: IntArray, normal: FloatArray, reach: float) -> IntArray:
     corner = points[faces]
     facing = unit(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])) @ normal
-    near = cKDTree(points[rim]).query(corner.reshape(-1, 3))[0].reshape(-1, 3).max(axis=1)
+    near = nearest(points[rim], corner.reshape(-1, 3))[0].reshape(-1, 3).max(axis=1)
     chosen = faces[(facing > 0.55) & (near < reach)]
     # only what hangs together with the rim
     reached = np.zeros(len(points), dtype=bool)
@@ -131,7 +130,8 @@ def triangulate_loop(points: FloatArray, rim: IntArray, normal: FloatArray) -> t
     plane = np.stack([across, np.cross(normal, across)])
     middle = ring.mean(axis=0)
     flat = (ring - middle) @ plane.T
-    if np.sum(np.cross(np.roll(flat, 1, axis=0), flat)) < 0:
+    before = np.roll(flat, 1, axis=0)
+    if np.sum(before[:, 0] * flat[:, 1] - before[:, 1] * flat[:, 0]) < 0:
         rim, ring, flat = rim[::-1], ring[::-1], flat[::-1]
     gmsh.initialize(["lacli", "-v", "0"], readConfigFiles=False, interruptible=False)
     try:

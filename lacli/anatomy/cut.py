@@ -8,10 +8,10 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from lacli.anatomy import isoline
 from lacli.anatomy.caps import rim_loops, triangulate_loop
 from lacli.anatomy.frame import unit
-from lacli.anatomy.remesh import split_at
-from lacli.anatomy.surface import WALL, FloatArray, IntArray, Surface, check, compact, unique_edges
+from lacli.anatomy.surface import FloatArray, IntArray, Surface, check, compact
 from lacli.errors import AnatomyError
 
 
@@ -35,31 +35,19 @@ def cut_open(surface: Surface, cut: Cut) -> Surface:
     height = relative @ cut.direction
     across = np.linalg.norm(relative - height[:, None] * cut.direction, axis=1)
     height = np.where(across < cut.reach_mm, height, np.minimum(height, -1.0))
-    edges, of_triangle = unique_edges(surface.triangles)
-    typical = float(np.linalg.norm(surface.points[edges[:, 0]] - surface.points[edges[:, 1]], axis=1).mean())
-    # a point almost on the plane is put on it: no slivers
-    close = np.abs(height) < 0.15 * typical
-    points = surface.points - np.where(close, height, 0.0)[:, None] * cut.direction
-    height[close] = 0.0
-    fa, fb = height[edges[:, 0]], height[edges[:, 1]]
-    crossed = fa * fb < 0
-    share = (fa / np.where(crossed, fa - fb, 1.0))[crossed, None]
-    n = len(points)
-    new = np.full(len(edges), -1)
-    new[crossed] = n + np.arange(int(crossed.sum()))
-    crossing = points[edges[crossed, 0]] * (1 - share) + points[edges[crossed, 1]] * share
-    points = np.vstack([points, crossing])
-    triangles, label = split_at(surface.triangles, surface.label, new[of_triangle])
-    height = np.concatenate([height, np.zeros(len(crossing))])
+    surface, height = isoline.snap(surface, height, np.ones(len(height), dtype=bool))
+    surface, height = isoline.split(surface, height)
+    points, triangles, label = surface.points, surface.triangles, surface.label
     beyond = height[triangles].sum(axis=1) > 0
     if not beyond.any() or beyond.all():
         raise AnatomyError(f"The plane at ({_text(cut.centre)}) does not cut the surface.")
     kept, kept_label = _largest(triangles[~beyond], label[~beyond])
-    loops = [loop for loop in rim_loops(kept) if np.abs((points[loop] - cut.centre) @ cut.direction).max() < 1e-6 * 1e3]
+    loops = [loop for loop in rim_loops(kept) if np.abs((points[loop] - cut.centre) @ cut.direction).max() < 1e-3]
     loops = [loop for loop in loops if np.linalg.norm(points[loop].mean(axis=0) - cut.centre) < cut.reach_mm]
     if len(loops) != 1:
         raise AnatomyError(
-            f"The plane at ({_text(cut.centre)}) cuts the surface in {len(loops)} closed curves, expected one; move it along the vessel."
+            f"The plane at ({_text(cut.centre)}) cuts the surface in {len(loops)} closed curves, expected one; "
+            "move it along the vessel."
         )
     inner, cap = triangulate_loop(points, loops[0], unit(cut.direction))
     result = compact(
@@ -84,6 +72,3 @@ def _largest(triangles: IntArray, label: IntArray) -> tuple[IntArray, IntArray]:
 
 def _text(point: FloatArray) -> str:
     return ", ".join(f"{x:.1f}" for x in point)
-
-
-__all__ = ["WALL", "Cut", "cut_open"]

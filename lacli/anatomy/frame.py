@@ -41,7 +41,8 @@ def frame_from_openings(centre: FloatArray, openings: dict[str, FloatArray]) -> 
     """Axes from the cavity's centre and the openings' centres (each (3,) mm, keys of OPENINGS).
 
     left: from the right veins to the left ones; roof: from the mitral valve's centre to the cavity's, perpendicular to
-    left (the valve lies to the left, so the line through it alone would tilt the roof to the right); anterior: perpendicular to both, on the side away from the inferior veins' mean (they open posteriorly).
+    left (the valve lies to the left, so the line through it alone would tilt the roof to the right); anterior:
+    perpendicular to both, on the side away from the inferior veins' mean (they open posteriorly).
     """
     left = unit((openings["lspv"] + openings["lipv"]) / 2 - (openings["rspv"] + openings["ripv"]) / 2)
     roof = centre - openings["mv"]

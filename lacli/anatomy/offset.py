@@ -135,7 +135,7 @@ def _untangle(surface: Surface, edges: IntArray, vector: FloatArray) -> FloatArr
     best, best_score = vector, -np.inf
     on_rim = np.zeros(n, dtype=bool)
     on_rim[border_edges(surface.triangles, side_of(surface.label))] = True
-    for step in range(40):
+    for step in range(80):
         tets = split_prisms(bottom, top, shorter_diagonals(surface.points, vector, bottom, edges, of_triangle))
         quality = scaled_jacobian(np.vstack([surface.points, surface.points + vector]), tets)
         # a flat wall on long cells is poor by its proportions alone: ask for less there
@@ -158,8 +158,24 @@ def _untangle(surface: Surface, edges: IntArray, vector: FloatArray) -> FloatArr
         size = np.linalg.norm(mixed, axis=1)
         goal = (1 - keep[:, 0]) * np.linalg.norm(vector, axis=1) + keep[:, 0] * np.linalg.norm(total, axis=1) / degree[:, 0]
         goal = np.where(bad > 0, goal * (0.97 if step > 8 else 1.0), goal)
+        if step > 10:  # what is still inverted turns towards the triangle it sees worst, and gives way faster
+            flat = np.unique(tets[quality < 0.05] % n)
+            mixed[flat] += 0.3 * goal[flat, None] * _worst_seen(surface, mixed)[flat]
+            size = np.linalg.norm(mixed, axis=1)
+            goal[flat] *= 0.93
         vector = mixed * (goal / np.maximum(size, 1e-12))[:, None]
     return best
+
+
+def _worst_seen(surface: Surface, vector: FloatArray) -> FloatArray:
+    """At each point the normal (n, 3) of that of its triangles which its vector is the least along."""
+    normals = surface.normals()
+    corner = surface.triangles.ravel()
+    cosine = np.einsum("ij,ij->i", unit(vector)[corner], np.repeat(normals, 3, axis=0))
+    order = np.argsort(-cosine, kind="stable")  # the smallest is written last
+    worst = np.zeros_like(vector)
+    worst[corner[order]] = np.repeat(normals, 3, axis=0)[order]
+    return worst
 
 
 def _middles(surface: Surface, edges: IntArray, chord: FloatArray, reference: Reference) -> tuple[FloatArray, IntArray]:

@@ -34,9 +34,9 @@ def vertex_normals(surface: Surface, side: int, smoothing_mm: float = 0.0) -> Fl
     triangles = surface.triangles[keep]
     vectors = surface.area_vectors()[keep]
     n = len(surface.points)
-    total = np.column_stack(
-        [np.bincount(triangles.ravel(), weights=np.repeat(vectors[:, d], 3), minlength=n) for d in range(3)]
-    )
+    total = np.zeros((n, 3))
+    for d in range(3):
+        total[:, d] = np.bincount(triangles.ravel(), weights=np.repeat(vectors[:, d], 3), minlength=n)
     used = np.zeros(n, dtype=bool)
     used[triangles] = True
     if smoothing_mm > 0:
@@ -47,7 +47,7 @@ def vertex_normals(surface: Surface, side: int, smoothing_mm: float = 0.0) -> Fl
         total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-30)
         # k steps of averaging over the neighbours spread like a walk of sqrt(k) edges
         for _ in range(min(int((smoothing_mm / length) ** 2) + 1, 50)):
-            total = graph @ total
+            total = np.asarray(graph @ total, dtype=np.float64)
             total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-30)
     total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-30)
     total[~used] = np.nan
@@ -115,7 +115,7 @@ class Reference:
             used = np.flatnonzero(np.isfinite(all_normals[:, 0]))
             self._normals[side] = (cKDTree(self.surface.points[used]), all_normals[used])
         tree, values = self._normals[side]
-        distance, near = tree.query(points, k=min(4, tree.n))
+        distance, near = (np.asarray(x) for x in tree.query(points, k=min(4, tree.n)))
         distance, near = distance.reshape(len(points), -1), near.reshape(len(points), -1)
         weight = 1.0 / (distance + 1e-3 + 0.1 * distance.max(axis=1, keepdims=True))
         total = np.einsum("pk,pkd->pd", weight, values[near])

@@ -183,7 +183,9 @@ def _split(mesh: _Mesh, reference: Reference, asked) -> None:  # type: ignore[no
         aside = np.linalg.norm(mesh.points[n:] - middle, axis=1) > 0.3 * halved
         mesh.points[n:][aside] = middle[aside]
         if len(mesh.triangles) > limit:
-            raise AnatomyError("Remeshing does not settle: the surface is too rough for this cell size. Smooth it, or ask for smaller cells.")
+            raise AnatomyError(
+                "Remeshing does not settle: the surface is too rough for this cell size. Smooth it, or ask for smaller cells."
+            )
 
 
 def split_at(triangles: IntArray, label: IntArray, middle: IntArray) -> tuple[IntArray, IntArray]:

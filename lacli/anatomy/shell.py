@@ -72,7 +72,7 @@ def mesh_shell(
     edges, of_triangle = unique_edges(surface.triangles)
 
     def asked(points: FloatArray) -> FloatArray:
-        distance, near = tree.query(points, k=3)
+        distance, near = (np.asarray(x) for x in tree.query(points, k=3))
         weight = 1.0 / (distance + 1e-6)
         return (weight * thickness[near]).sum(axis=1) / weight.sum(axis=1)
 
@@ -95,7 +95,9 @@ def _assemble(surface: Surface, edges: IntArray, of_triangle: IntArray, off: Off
     straightened = 0
     quality = scaled_jacobian(points, tets)
     if quality.min() <= 0:
-        raise AnatomyError(f"The wall has {int((quality <= 0).sum())} inverted cells: too thick for how tightly the surface bends.")
+        raise AnatomyError(
+            f"The wall has {int((quality <= 0).sum())} inverted cells: it is too thick for how tightly the surface bends."
+        )
     triangles, owner = boundary_faces(tets)
     inner = (triangles < n).all(axis=1)
     side = label[owner]
@@ -175,16 +177,14 @@ def _describe(
     body = label == 0
     region[body] = sectors(frame, middle[body])
     fibre = two_layer_fibres(frame, across(points, tets, transmural), transmural[tets[:, :4]].mean(axis=1))
-    return Bundle(
-        points, tets, region, triangles, tags, fibre, transmural, sweep(frame, points), height(frame, points), info
-    )
+    return Bundle(points, tets, region, triangles, tags, fibre, transmural, sweep(frame, points), height(frame, points), info)
 
 
 def across(points: FloatArray, tets: IntArray, transmural: FloatArray) -> FloatArray:
     """Unit gradient (m, 3) of the transmural coordinate, by corner values."""
     x = points[tets[:, :4]]
     t = transmural[tets[:, :4]]
-    return unit(np.linalg.solve(x[:, 1:] - x[:, :1], (t[:, 1:] - t[:, :1])[..., None])[..., 0])
+    return unit(np.asarray(np.linalg.solve(x[:, 1:] - x[:, :1], (t[:, 1:] - t[:, :1])[..., None])[..., 0], dtype=np.float64))
 
 
 def frame_of(surface: Surface) -> AtrialFrame:
@@ -197,4 +197,3 @@ def frame_of(surface: Surface) -> AtrialFrame:
         if mine.any():
             openings[name] = np.average(middle[mine], axis=0, weights=area[mine])
     return frame_from_openings(np.average(middle, axis=0, weights=area), openings)
-

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from lacli.anatomy.bundle import PLANES
 from lacli.errors import AnatomyError
@@ -102,6 +103,12 @@ def check(surface: Surface, where: str = "surface") -> None:
         raise AnatomyError(f"{where}: the cavity surface is not closed: {problem}. Repair it, or let `lacli mesh` do so.")
     if surface.volume_ml() <= 0:
         raise AnatomyError(f"{where}: the surface is inside out (volume {surface.volume_ml():.3g} mL). Turn its triangles.")
+
+
+def nearest(among: FloatArray, points: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Distance (k,) mm from each of ``points`` to the nearest of ``among``, and which one (k,)."""
+    distance, index = cKDTree(among).query(points)
+    return np.asarray(distance, dtype=np.float64), np.asarray(index, dtype=np.int64)
 
 
 def compact(surface: Surface) -> Surface:

@@ -34,7 +34,8 @@ def synthesize(
 
     volume_ml: cavity volume with the planes closed, None: the seed's own from the cohort's range. The mesh's curved
     cavity volume is within the discretisation of that. ``rule``: of coordinates.RULES, regions then follow the universal
-    atrial coordinates; or "simple": sectors and two-layer fibres by the shape's own axes (see frame). Raises AnatomyError for an argument out of range.
+    atrial coordinates; or "simple": sectors and two-layer fibres by the shape's own axes (see frame).
+    Raises AnatomyError for an argument out of range.
     """
     shape = sized(seed, volume_ml)
     surface = cavity(shape)
@@ -50,12 +51,13 @@ def sized(seed: int, volume_ml: float | None = None) -> Shape:
     """The seed's shape, scaled so that its clipped cavity has the volume (mL)."""
     volume = cohort_volume(seed) if volume_ml is None else float(volume_ml)
     if not 5.0 <= volume <= 500.0:
-        raise AnatomyError(f"A left atrium of {volume:g} mL is not one: give 5 - 500 mL (the published cohort has {COHORT_ML[0]:g} - {COHORT_ML[1]:g}).")
+        low, high = COHORT_ML
+        raise AnatomyError(f"A left atrium has no {volume:g} mL: give 5 - 500 mL (the published cohort has {low:g} - {high:g}).")
     return replace(draw(seed), scale=float((volume / _unit_cavity(seed, GRID_MM).volume_ml()) ** (1 / 3)))
 
 
 def cavity(shape: Shape, grid_mm: float = GRID_MM) -> Surface:
-    """The closed, clipped cavity surface, its points on the implicit function's zero; triangles of ``grid_mm`` times the scale."""
+    """The closed, clipped cavity surface, its points on the implicit function's zero; edges of ``grid_mm`` x scale."""
     unit_cavity = _unit_cavity(shape.seed, grid_mm)
     return replace(unit_cavity, points=unit_cavity.points * shape.scale)
 
@@ -121,6 +123,3 @@ def signed_distance(seed: int, points: FloatArray, volume_ml: float | None = Non
             across = np.linalg.norm(relative - height[:, None] * cut.direction, axis=1)
             value = np.where(across < cut.reach_mm, np.maximum(value, height), value)
     return value
-
-
-

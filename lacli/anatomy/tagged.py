@@ -8,7 +8,6 @@ from pathlib import Path
 
 import meshio
 import numpy as np
-from scipy.spatial import cKDTree
 
 from lacli.anatomy import laplace
 from lacli.anatomy.bundle import ENDO, EPI, OPENINGS, OTHER, PLANES, RINGS, Bundle
@@ -16,7 +15,7 @@ from lacli.anatomy.caps import Plate, extrude_plate, rim_loops, triangulate_loop
 from lacli.anatomy.cells import boundary_faces, elevate, row_keys, volumes
 from lacli.anatomy.coordinates import describe
 from lacli.anatomy.frame import frame_from_openings, height, sectors, sweep, two_layer_fibres, unit
-from lacli.anatomy.surface import FloatArray, IntArray, Surface, check, compact, unique_edges
+from lacli.anatomy.surface import FloatArray, IntArray, Surface, check, compact, nearest, unique_edges
 from lacli.errors import AnatomyError
 
 # opening -> words that all occur in its cap's name
@@ -99,15 +98,20 @@ def read_mesh(tets_file: Path, surfaces_file: Path, names_json: Path, chamber: s
         if exact:
             hit = [i for i in present if names[i].lower() == words[0].lower()]
         else:
-            hit = [i for i in present if all(w in names[i].lower() for w in words) and "_" not in names[i] and "border" not in names[i]]
+            hit = [
+                i
+                for i in present
+                if all(w in names[i].lower() for w in words) and "_" not in names[i] and "border" not in names[i]
+            ]
         if len(hit) != 1:
             found = ", ".join(names[i] for i in present)
-            raise AnatomyError(f"{surface_file_name}: wanted one surface named {' '.join(words)!r}, found {len(hit)} among: {found}.")
+            raise AnatomyError(
+                f"{surfaces_file.name}: wanted one surface named {' '.join(words)!r}, found {len(hit)} among: {found}."
+            )
         return faces[ids == hit[0]]
 
-    surface_file_name = surfaces_file.name
-    distance, nearest = cKDTree(points).query(surface_points)
-    endo = nearest[named((f"{chamber} endocardium",), exact=True)]
+    distance, at = nearest(points, surface_points)
+    endo = at[named((f"{chamber} endocardium",), exact=True)]
     if distance[np.unique(named((f"{chamber} endocardium",), exact=True))].max() > 1e-3:
         raise AnatomyError(f"{surfaces_file}: the endocardium's points are not points of {tets_file.name}; the files do not fit.")
     outside, _ = boundary_faces(tets)
@@ -122,7 +126,7 @@ def _rims(endo: IntArray, points: FloatArray, caps: dict[str, FloatArray], where
     loops = rim_loops(endo)
     if len(loops) != len(caps):
         raise AnatomyError(f"{where}: the endocardium has {len(loops)} openings, expected {len(caps)} ({', '.join(caps)}).")
-    apart = np.array([[cKDTree(cap).query(points[loop])[0].mean() for loop in loops] for cap in caps.values()])
+    apart = np.array([[nearest(cap, points[loop])[0].mean() for loop in loops] for cap in caps.values()])
     best = apart.argmin(axis=1)
     if len(set(best.tolist())) != len(loops):
         raise AnatomyError(f"{where}: two of the caps lie on the same opening of the endocardium.")
@@ -172,7 +176,7 @@ def _even_rims(points: FloatArray, endo: IntArray, rims: dict[str, IntArray], re
     edges, _ = unique_edges(endo)
     used = np.unique(endo)
     distance = np.full(len(points), np.inf)
-    distance[used] = cKDTree(points[fixed]).query(points[used])[0]
+    distance[used] = nearest(points[fixed], points[used])[0]
     weight = np.where(fixed, 0.0, np.clip(1.0 - distance / reach_mm, 0.0, 1.0))[:, None]
     count = np.maximum(np.bincount(edges.ravel(), minlength=len(points)), 1)[:, None]
     for _ in range(10):
@@ -202,8 +206,8 @@ def _as_is(mesh: TaggedMesh, order: int, thickness: float, ring_width: float, wh
         region = np.append(region, np.full(len(plate.tets), PLANES[name]))
         caps.append((plate.cap, PLANES[name]))
         # across the cut face, or from its inner edge through the wall's thickness
-        near = cKDTree(mesh.points[np.union1d(plate.annulus, mesh.rims[name])]).query(middle)[0]
-        near = np.minimum(near, cKDTree(mesh.points[mesh.rims[name]]).query(middle)[0] - 0.5 * thickness)
+        near = nearest(mesh.points[np.union1d(plate.annulus, mesh.rims[name])], middle)[0]
+        near = np.minimum(near, nearest(mesh.points[mesh.rims[name]], middle)[0] - 0.5 * thickness)
         closer = (near < ring_width) & (near < ring_distance)
         region[: len(middle)][closer] = RINGS[name]
         ring_distance = np.minimum(ring_distance, near)

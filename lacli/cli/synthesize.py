@@ -60,8 +60,19 @@ def command(
         f"parametric left atria in {out}",
         ["seed", "folder", "cavity mL", "wall mL", "cells", "points", "worst cell", "cells < 0.2"],
         [
-            [r["seed"], r["folder"], r["cavity_volume_ml"], r["wall_volume_ml"], r["cells"], r["points"]]
-            + [r["scaled_jacobian_min"], r["share_below_02"]]
+            [
+                r[name]
+                for name in (
+                    "seed",
+                    "folder",
+                    "cavity_volume_ml",
+                    "wall_volume_ml",
+                    "cells",
+                    "points",
+                    "scaled_jacobian_min",
+                    "share_below_02",
+                )
+            ]
             for r in rows
         ],
     )
@@ -94,7 +105,7 @@ def _one(seed: int, folder: Path, wanted: dict[str, Any]) -> dict[str, Any]:
             save_motion(motion, partial)
             if folder.exists():
                 shutil.rmtree(folder)
-            os.replace(partial, folder)
+            partial.replace(folder)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
     shell = info["shell"]
@@ -122,6 +133,8 @@ def _finished(folder: Path, made_from: dict[str, Any]) -> dict[str, Any] | None:
         info = json.loads((folder / "anatomy.json").read_text())
         same = info[KEY] == made_from
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise AnatomyError(f"{folder} exists and was not written by `lacli synthesize`; choose another folder or remove it.") from error
+        raise AnatomyError(
+            f"{folder} exists and was not written by `lacli synthesize`; choose another folder or remove it."
+        ) from error
     complete = all((folder / name).is_file() for name in ("wall.vtu", "boundary.vtp", "motion.npz"))
     return info if same and complete else None

@@ -5,7 +5,6 @@ Files: ``motion.npz`` in a bundle's folder with times (f,), wall_point (n,), pos
 
 from __future__ import annotations
 
-import os
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -67,9 +66,11 @@ def descend(
     axis = (middle - centre) / np.linalg.norm(middle - centre)
     # end-systole is one of the frames, so that the peak is reached
     times = np.arange(frames) / frames
-    es_time = float(times[max(1, np.argmin(np.abs(times - es_time)))])
+    es_time = float(times[max(1, int(np.argmin(np.abs(times - es_time))))])
     course = np.where(
-        times <= es_time, 0.5 - 0.5 * np.cos(np.pi * times / es_time), 0.5 + 0.5 * np.cos(np.pi * (times - es_time) / (1 - es_time))
+        times <= es_time,
+        0.5 - 0.5 * np.cos(np.pi * times / es_time),
+        0.5 + 0.5 * np.cos(np.pi * (times - es_time) / (1 - es_time)),
     )
     across = (ring - middle) - np.outer((ring - middle) @ axis, axis)
     shift = descent_mm * axis + circumference_change * across
@@ -84,7 +85,7 @@ def save_motion(motion: Motion, folder: Path) -> Path:
     np.savez_compressed(
         partial, times=motion.times, wall_point=motion.wall_point, positions=motion.positions, es_time=np.array(motion.es_time)
     )
-    os.replace(partial, target)
+    partial.replace(target)
     return target
 
 
