@@ -45,7 +45,7 @@ class Box:
         inside = ((x >= self.lower) & (x <= self.upper)).all(1)
         for i, j in self.ordered:
             inside &= x[:, i] < x[:, j]
-        return inside
+        return np.asarray(inside, bool)
 
     def from_unit(self, u: FloatArray) -> FloatArray:
         """Points of the unit cube (m, d) -> points of the box."""

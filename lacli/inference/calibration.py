@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import os
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
@@ -108,8 +107,14 @@ class Calibration:
 
 
 def calibrate(
-    simulator: Simulator | None, box: Box, targets: Targets, settings: Settings, folder: Path,
-    log: RunLog, given: FloatArray | None = None, monitor: Monitor = _quiet,
+    simulator: Simulator | None,
+    box: Box,
+    targets: Targets,
+    settings: Settings,
+    folder: Path,
+    log: RunLog,
+    given: FloatArray | None = None,
+    monitor: Monitor = _quiet,
 ) -> Calibration:
     """Calibrate against the targets; ``log`` holds the runs.
 
@@ -121,7 +126,9 @@ def calibrate(
     folder.mkdir(parents=True, exist_ok=True)
     _same_settings(folder, box, targets, settings, given)
     x = given if given is not None else design(box, settings.first_runs, "sobol", settings.seed)
-    region, reports, samples, stopped = Region(box), [], [], ""
+    region, stopped = Region(box), ""
+    reports: list[WaveReport] = []
+    samples: list[RegionSample] = []
     emulators: EmulatorSet | None = None
     found: Match | None = None
     number = 0
@@ -149,8 +156,15 @@ def calibrate(
         samples.append(found.sample)
         reports.append(
             WaveReport(
-                number, len(finished_x), len(failed_x), wave.threshold, {e.output: e.held_out_r2 for e in emulators.emulators},
-                found.share, found.share_sd, found.change, notes,
+                number,
+                len(finished_x),
+                len(failed_x),
+                wave.threshold,
+                {e.output: e.held_out_r2 for e in emulators.emulators},
+                found.share,
+                found.share_sd,
+                found.change,
+                notes,
             )  # fmt: skip
         )
         monitor(Status("wave done", number, 1, 1, tuple(reports)))
@@ -178,7 +192,9 @@ def calibrate(
     if simulator is not None:
         pick = np.random.default_rng(settings.seed).choice(len(chain.flat()), settings.draws, replace=False)
         last = np.vstack([map_x, chain.flat()[pick]])
-        log.run(simulator, last, lambda done, total: monitor(Status("simulations at the answer", number, done, total, tuple(reports))))
+        log.run(
+            simulator, last, lambda done, total: monitor(Status("simulations at the answer", number, done, total, tuple(reports)))
+        )
         simulated = log.frame(last)[list(targets.names)].to_numpy(float)
         draws = simulated[1:]
         fit = _fit(emulators, targets, map_x, simulated[0])
@@ -199,7 +215,7 @@ def document(result: Calibration) -> dict[str, Any]:
             "waves": [asdict(report) for report in result.waves],
             "posterior": result.table,
             "converged": result.chain.converged,
-            "samples": int(len(result.chain.flat())),
+            "samples": len(result.chain.flat()),
             "acceptance": result.chain.acceptance,
             "fit": result.fit,
             "rmse_mm": result.rmse_mm,
@@ -218,7 +234,9 @@ def _finite(value: Any) -> Any:
 
 def _same_settings(folder: Path, box: Box, targets: Targets, settings: Settings, given: FloatArray | None) -> None:
     """A folder holds one calibration: with other targets or settings its files would be mixed up. Budgets may change."""
-    budget_free = replace(settings, max_runs=0, hours=0.0, max_waves=0, mcmc=replace(settings.mcmc, max_steps=0, ess=0.0, rhat=0.0))
+    budget_free = replace(
+        settings, max_runs=0, hours=0.0, max_waves=0, mcmc=replace(settings.mcmc, max_steps=0, ess=0.0, rhat=0.0)
+    )
     content = {
         "box": {n: [float(a), float(b)] for n, a, b in zip(box.names, box.lower, box.upper, strict=True)},
         "targets": {n: [float(m), float(s)] for n, m, s in zip(targets.names, targets.mean, targets.sd, strict=True)},
@@ -228,7 +246,9 @@ def _same_settings(folder: Path, box: Box, targets: Targets, settings: Settings,
     file = folder / "calibration.json"
     if file.is_file():
         if json.loads(file.read_text(encoding="utf-8")) != json.loads(json.dumps(content)):
-            raise UsageError(f"{folder}: holds a calibration with other targets, box or settings. Use another --out, or remove it.")
+            raise UsageError(
+                f"{folder}: holds a calibration with other targets, box or settings. Use another --out, or remove it."
+            )
     else:
         write_json(file, content)
 
@@ -236,7 +256,7 @@ def _same_settings(folder: Path, box: Box, targets: Targets, settings: Settings,
 def _emulators(
     log: RunLog, x: FloatArray, targets: Targets, settings: Settings, place: Path, tick: Callable[[], None]
 ) -> tuple[EmulatorSet, list[str], FloatArray, FloatArray]:
-    table = log.table(x)
+    table = log.table(x, targets.names)
     missing = [name for name in targets.names if name not in table.outputs]
     if missing or table.inputs != log.inputs:
         raise LacliError("calibrate: " + " ".join(table.notes))
@@ -254,7 +274,16 @@ def _match(region: Region, settings: Settings, number: int, place: Path, previou
         found = match(region, seed=settings.seed + number, previous=previous)
         s = found.sample
         with replacing(file) as temporary, temporary.open("wb") as stream:
-            numbers = [s.volume, s.volume_sd, s.acceptance, s.correlation, s.evaluations, found.share, found.share_sd, found.change]
+            numbers = [
+                s.volume,
+                s.volume_sd,
+                s.acceptance,
+                s.correlation,
+                s.evaluations,
+                found.share,
+                found.share_sd,
+                found.change,
+            ]
             np.savez_compressed(stream, points=s.points, level=s.level, numbers=np.array(numbers, float))
     with np.load(file, allow_pickle=False) as a:
         v = [float(value) for value in a["numbers"]]
@@ -277,7 +306,13 @@ def _next(
 
 
 def _sample(
-    density: Density, settings: Settings, sample: RegionSample, file: Path, monitor: Monitor, number: int, reports: tuple[WaveReport, ...]
+    density: Density,
+    settings: Settings,
+    sample: RegionSample,
+    file: Path,
+    monitor: Monitor,
+    number: int,
+    reports: tuple[WaveReport, ...],
 ) -> mcmc.Chain:
     options = replace(settings.mcmc, seed=settings.seed)
     previous = mcmc.load_chain(file) if file.is_file() else None
@@ -292,7 +327,7 @@ def _sample(
     except LacliError:
         if previous is None:
             raise
-        os.remove(file)  # other runs than the chain was made with (a changed budget): sample anew
+        file.unlink()  # other runs than the chain was made with (a changed budget): sample anew
         return mcmc.sample_posterior(density, options, start, None, keep)
 
 

@@ -189,9 +189,7 @@ def _calibration(data: _Scaled, theta: FloatArray, rng: np.random.Generator) -> 
     return float(np.clip(inflation, *_RESCALE_BOUNDS)), 1.0 - squares / (repeats * n)
 
 
-def fit_emulators(
-    table: RunTable, *, starts: int = 3, seed: int = 0, tick: Callable[[], None] | None = None
-) -> list[Emulator]:
+def fit_emulators(table: RunTable, *, starts: int = 3, seed: int = 0, tick: Callable[[], None] | None = None) -> list[Emulator]:
     """An emulator for each output of the table, in its order; ``tick`` is called after each."""
     result = []
     for j, name in enumerate(table.outputs):

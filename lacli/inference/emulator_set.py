@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,6 +76,13 @@ class EmulatorSet:
         e = self.emulators[0]
         lift = [np.where(e.log_inputs, np.exp(np.where(e.log_inputs, v, 0.0)), v) for v in (e.low, e.high)]
         return lift[0], lift[1]
+
+    def training_inputs(self) -> FloatArray:
+        """Inputs (n, d) of the training runs, in their units (in the order in which they tell most)."""
+        e = self.emulators[0]
+        t = e.low + 0.5 * (e.process.u + 1.0) * (e.high - e.low)
+        t[:, e.log_inputs] = np.exp(t[:, e.log_inputs])
+        return t
 
     def select(self, outputs: Sequence[str]) -> EmulatorSet:
         """The emulators of the named outputs, in that order."""
@@ -250,7 +257,7 @@ def _stack(emulators: Sequence[Emulator]) -> _Stack:
 def save_emulators(path: Path, emulators: EmulatorSet) -> None:
     """Write the emulators to an .npz file (numbers and names only); the file appears whole or not at all."""
     path = Path(path)
-    arrays: dict[str, NDArray] = {
+    arrays: dict[str, Any] = {
         "format": np.array(FORMAT), "inputs": np.array(emulators.inputs), "outputs": np.array(emulators.outputs),
     }  # fmt: skip
     for i, e in enumerate(emulators.emulators):
@@ -263,7 +270,7 @@ def save_emulators(path: Path, emulators: EmulatorSet) -> None:
     temporary = path.with_name(path.name + ".part")
     with temporary.open("wb") as stream:
         np.savez_compressed(stream, **arrays)
-    os.replace(temporary, path)
+    temporary.replace(path)
 
 
 def load_emulators(path: Path) -> EmulatorSet:
@@ -274,7 +281,9 @@ def load_emulators(path: Path) -> EmulatorSet:
     try:
         with np.load(path, allow_pickle=False) as a, one_thread():
             if int(a["format"]) != FORMAT:
-                raise InputError(f"{path}: written in format {int(a['format'])}, this program reads {FORMAT}. Run `lacli emulate` again.")
+                raise InputError(
+                    f"{path}: written in format {int(a['format'])}, this program reads {FORMAT}. Run `lacli emulate` again."
+                )
             emulators = []
             for i, output in enumerate(a["outputs"]):
                 log_output, shift, scale, inflation, r2, objective = (float(v) for v in a[f"{i}_scales"])

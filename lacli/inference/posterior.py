@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -91,10 +90,14 @@ def sample_posterior(
     """
     settings = settings if settings.walkers else replace(settings, walkers=4 * density.d)
     if settings.walkers < 2 * density.d + 2 or settings.walkers % 2:
-        raise LacliError(f"posterior: {settings.walkers} walkers for {density.d} inputs; an even number above {2 * density.d} is needed.")
+        raise LacliError(
+            f"posterior: {settings.walkers} walkers for {density.d} inputs; an even number above {2 * density.d} is needed."
+        )
     key = chain_key(density, settings)
     if previous is not None and previous.key != key:
-        raise InputError("the chain to continue was made with other emulators, targets, region or seed; sample into another file.")
+        raise InputError(
+            "the chain to continue was made with other emulators, targets, region or seed; sample into another file."
+        )
     chain = previous if previous is not None and previous.steps else _tune(density, settings, start, key)
     move = _move(density, settings, chain.tuning_points)
     chain = replace(chain, uses_surrogate=move.surrogate is not None)
@@ -155,7 +158,7 @@ def diagnostics(samples: FloatArray) -> tuple[FloatArray, FloatArray]:
     """
     import arviz
 
-    steps, ensembles, walkers, d = samples.shape
+    steps, ensembles, _, d = samples.shape
     rhat, ess = np.empty(d), np.empty(d)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -172,7 +175,7 @@ def _tune(density: Density, settings: Settings, start: FloatArray | None, key: s
     count, d = settings.ensembles * settings.walkers, density.d
     state = starting_walkers(density, count, rng, start)
     sampler = emcee.EnsembleSampler(count, d, density, moves=_move(density, settings, None), vectorize=True)
-    sampler.random_state = np.random.RandomState(settings.seed).get_state()  # noqa: NPY002  (emcee's own generator)
+    sampler.random_state = np.random.RandomState(settings.seed).get_state()
     state = sampler.run_mcmc(state, _TUNING, skip_initial_state_check=True)
     visited = sampler.get_chain()[_TUNING // 2 :]
     every = max(1, len(visited) * count // _SURROGATE_POINTS)
@@ -180,7 +183,17 @@ def _tune(density: Density, settings: Settings, start: FloatArray | None, key: s
     empty = np.empty((0, settings.ensembles, settings.walkers))
     nothing = np.full(d, np.nan)
     return Chain(
-        density.region.box.names, np.empty((*empty.shape, d)), empty, 0.0, nothing, nothing, False, state.random_state, points, False, key
+        density.region.box.names,
+        np.empty((*empty.shape, d)),
+        empty,
+        0.0,
+        nothing,
+        nothing,
+        False,
+        state.random_state,
+        points,
+        False,
+        key,
     )
 
 
@@ -268,7 +281,12 @@ def chain_key(density: Density, settings: Settings) -> str:
     targets = [density.targets, *(w.targets for w in density.region.waves)]
     arrays: list[NDArray] = [box.lower, box.upper, np.array([w.threshold for w in density.region.waves])]
     arrays += [a for t in targets for a in (t.mean, t.sd)]
-    arrays += [a for s in sets for e in s.emulators for a in (e.process.theta, e.process.y, e.process.u, np.array([e.inflation, e.shift, e.scale]))]
+    arrays += [
+        a
+        for s in sets
+        for e in s.emulators
+        for a in (e.process.theta, e.process.y, e.process.u, np.array([e.inflation, e.shift, e.scale]))
+    ]
     for array in arrays:
         digest.update(np.ascontiguousarray(array, float).tobytes())
     digest.update(repr(box.names).encode())
@@ -288,7 +306,7 @@ def save_chain(path: Path, chain: Chain) -> None:
             generator=keys, generator_rest=np.array([position, has_gauss, gauss], float), tuning_points=chain.tuning_points,
             key=np.array(chain.key),
         )  # fmt: skip
-    os.replace(temporary, path)
+    temporary.replace(path)
 
 
 def load_chain(path: Path) -> Chain:

@@ -79,7 +79,7 @@ class RunLog:
         """Rows of the log for the points x (m, d), in their order."""
         return pd.DataFrame([self.rows[tuple(row.tolist())] for row in x])
 
-    def table(self, x: FloatArray) -> RunTable:
-        """The checked table of the runs at x (m, d), in that order."""
+    def table(self, x: FloatArray, outputs: Sequence[str]) -> RunTable:
+        """The checked table of the runs at x (m, d), in that order, with the named outputs."""
         frame = self.frame(x)
-        return combine(frame, frame, input_names=self.inputs, output_names=self.outputs, where=str(self.path))
+        return combine(frame, frame, input_names=self.inputs, output_names=outputs, where=str(self.path))

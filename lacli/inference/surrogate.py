@@ -64,9 +64,7 @@ def fit_surrogate(density: Density, x: FloatArray) -> tuple[Surrogate, float]:
     coefficients = np.linalg.solve(a.T @ a + ridge, a.T @ b)
     p = len(density.targets.mean)
     log_variance = y[:, p:]
-    result = Surrogate(
-        density, low, high, log_inputs, cubic, coefficients, log_variance.min(0) - 0.5, log_variance.max(0) + 0.5
-    )
+    result = Surrogate(density, low, high, log_inputs, cubic, coefficients, log_variance.min(0) - 0.5, log_variance.max(0) + 0.5)
     error = result(x[kept_out]) - gaussian_log_likelihood(mean[kept_out], variance[kept_out], density.targets)
     return result, float(error.std())
 

@@ -18,7 +18,7 @@ STATUS = "status"
 OK_STATUS = {"ok", "done", "success", "converged", "true", "1"}
 ERROR_SUFFIX = "_discretisation_error"
 # bookkeeping columns that are neither inputs nor outputs
-_IGNORED = {STATUS, "run", "run_id", "id", "key", "failure", "kind", "cpu_s", "wall_s", "wave", "Unnamed: 0"}
+IGNORED = {STATUS, "run", "run_id", "id", "key", "failure", "kind", "cpu_s", "wall_s", "wave", "Unnamed: 0"}
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,9 @@ def _numbers(frame: pd.DataFrame, what: str) -> pd.DataFrame:
     columns = {}
     for name in frame.columns:
         values = pd.to_numeric(frame[name], errors="coerce")
-        bad = values.isna() & frame[name].notna() & ~frame[name].astype(str).str.strip().str.lower().isin(["nan", "", "na", "none"])
+        bad = (
+            values.isna() & frame[name].notna() & ~frame[name].astype(str).str.strip().str.lower().isin(["nan", "", "na", "none"])
+        )
         if bad.any():
             row = int(np.flatnonzero(bad.to_numpy())[0])
             raise TableError(f"{what}: column {name}, row {row + 1} holds {frame[name].iloc[row]!r}, which is not a number.")
@@ -163,16 +165,22 @@ def combine(
     if len(x):
         moving = np.ptp(x, axis=0) > 1e-12 * np.maximum(1e-300, np.abs(x).max(0))
         if not moving.all():
-            notes.append(f"input {_list([n for n, m in zip(names_x, moving, strict=True) if not m])} never varies and is left out.")
+            notes.append(
+                f"input {_list([n for n, m in zip(names_x, moving, strict=True) if not m])} never varies and is left out."
+            )
             x, failed_x = x[:, moving], failed_x[:, moving]
             names_x = [n for n, m in zip(names_x, moving, strict=True) if m]
         varying = np.ptp(y, axis=0) > 1e-12 * np.maximum(1e-300, np.abs(y).max(0))
         if not varying.all():
-            notes.append(f"output {_list([n for n, m in zip(names_y, varying, strict=True) if not m])} never varies and is left out.")
+            notes.append(
+                f"output {_list([n for n, m in zip(names_y, varying, strict=True) if not m])} never varies and is left out."
+            )
             y, error = y[:, varying], error[:, varying]
             names_y = [n for n, m in zip(names_y, varying, strict=True) if m]
         if not names_x or not names_y:
-            raise TableError(f"{where}: {'no input' if not names_x else 'no output'} varies between the runs; there is nothing to learn.")
+            raise TableError(
+                f"{where}: {'no input' if not names_x else 'no output'} varies between the runs; there is nothing to learn."
+            )
     needed = fewest_runs(len(names_x))
     if len(x) < needed:
         raise TableError(
@@ -189,7 +197,7 @@ def fewest_runs(d: int) -> int:
 
 def _named(frame: pd.DataFrame, names: Sequence[str] | None, what: str) -> list[str]:
     if names is None:
-        return [name for name in frame.columns if name not in _IGNORED and not name.endswith(ERROR_SUFFIX)]
+        return [name for name in frame.columns if name not in IGNORED and not name.endswith(ERROR_SUFFIX)]
     missing = [name for name in names if name not in frame.columns]
     if missing:
         raise TableError(f"{what} {_list(missing)} is not a column; the columns are {_list(list(frame.columns))}.")

@@ -1,0 +1,62 @@
+"""``lacli emulate``: fit and check one Gaussian-process emulator per output."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lacli.cli.console import out, print_json, print_table, progress
+from lacli.cli.tables import Inputs, Json, Names, Outputs, Seed, read
+
+
+def command(
+    inputs: Inputs = None,
+    outputs: Outputs = None,
+    names: Names = None,
+    file: Annotated[Path, typer.Option("--out", help="The emulators, an .npz file.")] = Path("emulators.npz"),
+    folds: Annotated[int, typer.Option(min=2, help="Folds of the cross-validation.")] = 5,
+    starts: Annotated[int, typer.Option(min=1, help="Starting points of each fit.")] = 3,
+    figures: Annotated[bool, typer.Option(help="Draw predicted against simulated beside the emulators.")] = True,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Fit one emulator per output and cross-validate it: R2, share of runs within 2 sd (ISE), log density (NLPD).
+
+    Example: lacli emulate --inputs X.csv --outputs Y.csv --out emulators.npz
+    """
+    from lacli.inference.emulator import fit_emulators
+    from lacli.inference.emulator_set import EmulatorSet, save_emulators
+    from lacli.inference.threads import one_thread
+    from lacli.inference.validation import cross_validate
+
+    table = read(inputs, outputs, names)
+    with progress() as bar, one_thread():
+        task = bar.add_task("cross-validation", total=len(table.outputs) * folds)
+        scores = cross_validate(table, count=folds, starts=starts, seed=seed, tick=lambda: bar.advance(task))
+        task = bar.add_task("emulators", total=len(table.outputs))
+        emulators = EmulatorSet(
+            table.inputs, tuple(fit_emulators(table, starts=starts, seed=seed, tick=lambda: bar.advance(task)))
+        )
+    save_emulators(file, emulators)
+    pictures = []
+    if figures:
+        from lacli.report.inference_figures import validation_figure
+
+        pictures.append(validation_figure(scores, table.y, file.with_suffix(".png")))
+    if as_json:
+        print_json(
+            {
+                "emulators": str(file),
+                "runs": table.runs,
+                "failed": len(table.failed_x),
+                "notes": list(table.notes),
+                "outputs": {s.output: {"r2": s.r2, "ise": s.ise, "nlpd": s.nlpd, "train_cpu_s": s.train_cpu_s} for s in scores},
+                "pictures": [str(p) for p in pictures],
+            }
+        )
+        return
+    rows = [[s.output, s.r2, s.ise, s.nlpd, s.train_cpu_s] for s in scores]
+    print_table(f"{table.runs} runs, {folds} folds", ["output", "R2", "within 2 sd", "NLPD", "CPU s"], rows)
+    out.print(f"Emulators in {file}", highlight=False, soft_wrap=True)

@@ -1,0 +1,99 @@
+"""``lacli posterior``: sample the posterior by MCMC through the emulators."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from lacli.cli.console import err, out, print_json, print_table, progress
+from lacli.cli.tables import BoxFile, Emulators, Inputs, Json, Names, Outputs, Seed, box_of, fitted
+from lacli.errors import UsageError
+
+
+def command(
+    targets_file: Annotated[Path, typer.Option("--targets", help="Targets: mean and sd of each feature (TOML).")],
+    inputs: Inputs = None,
+    outputs: Outputs = None,
+    names: Names = None,
+    emulators_file: Emulators = None,
+    prior: Annotated[str, typer.Option(help="nroy: uniform on what history matching leaves; box: uniform on the box.")] = "nroy",
+    threshold: Annotated[float, typer.Option(min=0.1, help="Implausibility from which the nroy prior is zero.")] = 3.0,
+    box_file: BoxFile = None,
+    ess: Annotated[float, typer.Option(min=1, help="Effective samples asked for, of every input.")] = 5000,
+    rhat: Annotated[float, typer.Option(min=1, help="R-hat asked for.")] = 1.01,
+    steps: Annotated[int, typer.Option(min=100, help="Cap of the steps of each walker.")] = 20_000,
+    ensembles: Annotated[int, typer.Option(min=2, help="Independent ensembles.")] = 4,
+    folder: Annotated[Path, typer.Option("--out", help="Folder of the chain, tables and figures.")] = Path("posterior"),
+    figures: Annotated[bool, typer.Option(help="Draw corner and trace plots.")] = True,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Sample the posterior; a chain in --out made with the same emulators and targets is continued.
+
+    Example: lacli posterior --emulators emulators.npz --targets targets.toml --out posterior
+    """
+    import pandas as pd
+
+    from lacli.inference import posterior as mcmc
+    from lacli.inference.arviz_file import write_inference_data
+    from lacli.inference.likelihood import Density
+    from lacli.inference.matching import Region, Wave
+    from lacli.inference.targets import read_targets
+    from lacli.store import replacing, write_json
+
+    if prior not in ("nroy", "box"):
+        raise UsageError(f"--prior {prior}: must be nroy or box.")
+    targets = read_targets(targets_file)
+    emulators, table = fitted(inputs, outputs, names or list(targets.names), emulators_file, seed)
+    targets = targets.select(emulators.outputs)
+    region = Region(box_of(emulators, box_file, table))
+    if prior == "nroy":
+        region = region.add(Wave(emulators, targets, threshold))
+    density = Density(emulators, targets, region)
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / "chain.npz"
+    previous = mcmc.load_chain(file) if file.is_file() else None
+    settings = mcmc.Settings(ensembles=ensembles, ess=ess, rhat=rhat, max_steps=steps, seed=seed)
+    with progress() as bar:
+        task = bar.add_task("steps (tuning first)", total=steps)
+
+        def keep(chain: mcmc.Chain) -> None:
+            mcmc.save_chain(file, chain)
+            worst = float(chain.ess.min())
+            text = f"ESS {worst:.0f} of {ess:.0f}, R-hat {chain.rhat.max():.3f}" if worst == worst else "steps"
+            expected = steps if worst != worst else min(steps, max(chain.steps, int(chain.steps * ess / max(worst, 1.0))))
+            bar.update(task, completed=chain.steps, total=expected, description=text)
+
+        chain = mcmc.sample_posterior(density, settings, previous=previous, keep=keep)
+    best, log_prob = mcmc.maximum(density, chain)
+    summary = mcmc.summary(chain, best)
+    with replacing(folder / "summary.csv") as temporary:
+        pd.DataFrame(summary).to_csv(temporary, index=False)
+    write_inference_data(folder / "posterior.nc", chain)
+    result: dict[str, Any] = {
+        "converged": chain.converged, "steps": chain.steps, "samples": len(chain.flat()), "acceptance": chain.acceptance,
+        "rhat": float(chain.rhat.max()), "ess": float(chain.ess.min()), "log_posterior_at_map": log_prob, "inputs": summary,
+    }  # fmt: skip
+    write_json(folder / "summary.json", result)
+    if figures:
+        from lacli.report.inference_figures_posterior import corner_figure, trace_figure
+
+        with err.status("drawing"):
+            corner_figure(chain, best, region.box, folder / "corner.png")
+            trace_figure(chain, folder / "trace.png")
+    if not chain.converged:
+        err.print(
+            f"Not converged within {steps} steps: R-hat {chain.rhat.max():.3f} (asked {rhat:g}), ESS {chain.ess.min():.0f} (asked {ess:.0f})."
+            " Run again with a larger --steps to go on from here.", highlight=False, soft_wrap=True,
+        )  # fmt: skip
+    if as_json:
+        print_json(result)
+        return
+    print_table(
+        f"Posterior ({len(chain.flat()):,} samples, ESS {chain.ess.min():.0f}, R-hat {chain.rhat.max():.3f})",
+        ["input", "mean", "sd", "2.5 %", "97.5 %", "most probable"],
+        [[r["input"], r["mean"], r["sd"], r["low95"], r["high95"], r["map"]] for r in summary],
+    )
+    out.print(f"Chain, tables and figures in {folder}", highlight=False, soft_wrap=True)

@@ -1,0 +1,79 @@
+"""What the inference commands share: options for tables of runs, and emulators from them or from a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lacli.cli.console import err, progress
+from lacli.errors import UsageError
+
+if TYPE_CHECKING:
+    from lacli.inference.box import Box
+    from lacli.inference.emulator_set import EmulatorSet
+    from lacli.inference.table import RunTable
+
+Inputs = Annotated[Path | None, typer.Option("--inputs", help="Table of inputs (CSV or Parquet), one run a row.")]
+Outputs = Annotated[Path | None, typer.Option("--outputs", help="Table of outputs, the same runs in the same order.")]
+Names = Annotated[list[str] | None, typer.Option("--output", help="Only this output; may be repeated.")]
+Emulators = Annotated[
+    Path | None, typer.Option("--emulators", help="Emulators written by `lacli emulate`, instead of the tables.")
+]
+BoxFile = Annotated[Path | None, typer.Option("--box", help="Ranges of the inputs (TOML: [box], name = [lower, upper]).")]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of all random numbers.")]
+Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")]
+
+
+def read(inputs: Path | None, outputs: Path | None, names: list[str] | None) -> RunTable:
+    """The table of runs that --inputs and --outputs name; its notes go to standard error."""
+    from lacli.inference.table import read_runs
+
+    if inputs is None or outputs is None:
+        raise UsageError("give --inputs and --outputs (tables with a run in each row).")
+    table = read_runs(inputs, outputs, names)
+    for note in table.notes:
+        err.print(f"note: {note}", highlight=False, soft_wrap=True)
+    return table
+
+
+def fitted(
+    inputs: Path | None, outputs: Path | None, names: list[str] | None, emulators: Path | None, seed: int
+) -> tuple[EmulatorSet, RunTable | None]:
+    """Emulators from a file, or fitted to the tables (then with the table)."""
+    from lacli.inference.emulator import fit_emulators
+    from lacli.inference.emulator_set import EmulatorSet, load_emulators
+
+    if emulators is not None:
+        loaded = load_emulators(emulators)
+        if names:
+            missing = [name for name in names if name not in loaded.outputs]
+            if missing:
+                raise UsageError(f"{emulators}: no emulator of {', '.join(missing)}; there are {', '.join(loaded.outputs)}.")
+            loaded = loaded.select(names)
+        return loaded, None
+    table = read(inputs, outputs, names)
+    with progress() as bar:
+        task = bar.add_task("emulators", total=len(table.outputs))
+        result = fit_emulators(table, seed=seed, tick=lambda: bar.advance(task))
+    return EmulatorSet(table.inputs, tuple(result)), table
+
+
+def box_of(emulators: EmulatorSet, file: Path | None, table: RunTable | None = None) -> Box:
+    """The box of the inputs: the file's, else published ranges of known inputs and the runs' ranges of others."""
+    import numpy as np
+
+    from lacli.inference.box import read_box, table_box
+
+    low, high = emulators.range()
+    if file is None:
+        return table_box(emulators.inputs, table.x if table is not None else np.vstack([low, high]))
+    box = read_box(file)
+    missing = [name for name in emulators.inputs if name not in box.names]
+    if missing or len(box.names) != len(emulators.inputs):
+        raise UsageError(f"{file}: must hold exactly the inputs {', '.join(emulators.inputs)}.")
+    order = [box.names.index(name) for name in emulators.inputs]
+    from lacli.inference.box import make_box
+
+    return make_box(emulators.inputs, box.lower[order].tolist(), box.upper[order].tolist())

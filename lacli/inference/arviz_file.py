@@ -1,0 +1,28 @@
+"""The posterior as a file that ArviZ reads (``arviz.from_netcdf``)."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+from lacli.inference.posterior import Chain
+from lacli.store import replacing
+
+
+def write_inference_data(path: Path, chain: Chain) -> None:
+    """NetCDF with groups posterior and sample_stats; each walker after the first tenth is a chain, and the coordinate
+    ``ensemble`` of sample_stats says to which independent ensemble it belongs."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the library announces its own next version
+        import arviz
+
+        kept = chain.samples[chain.steps // 10 :]
+        steps, ensembles, walkers, d = kept.shape
+        by_walker = kept.reshape(steps, ensembles * walkers, d).transpose(1, 0, 2)
+        log_prob = chain.log_prob[chain.steps // 10 :].reshape(steps, -1).T
+        data = arviz.from_dict(
+            posterior={name: by_walker[..., i] for i, name in enumerate(chain.names)}, sample_stats={"lp": log_prob}
+        )
+        data.sample_stats.attrs["walkers_in_each_ensemble"] = walkers
+        with replacing(path) as temporary:
+            data.to_netcdf(str(temporary), engine="h5netcdf")
