@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 
 from lacli.errors import SolverMissingError
 from lacli.mechanics import freefem as ff
+from lacli.mechanics import process
 from lacli.mechanics.freefem import FreeFem, build_plugin, find, parse_progress, parse_stop, run
 
 BUSY = 'cout << "@ progress phase=load load=0.5 step=0.1 newton=2 residual=1e-3 minj=0.9" << endl; cout.flush;\nwhile (true) clock();\n'
@@ -207,6 +208,19 @@ def test_memory_and_cpu_are_the_childs(freefem: FreeFem, tmp_path: Path) -> None
 def test_out_of_memory_is_recognised(freefem: FreeFem, tmp_path: Path) -> None:
     text = 'cout << "terminate called after throwing an instance of std::bad_alloc" << endl; exit(1);\n'
     assert run(freefem, script(tmp_path, text), tmp_path, 30).kind == "out_of_memory"
+
+
+def test_freefem_is_stopped_before_the_machine_has_no_memory(
+    freefem: FreeFem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # a machine of 400 MB with nothing left: FreeFEM, with its 200 MB, is the greedy one
+    monkeypatch.setattr(process, "memory_mb", lambda: (400.0, 1.0))
+    file = script(tmp_path, "real[int] a(25000000); a = 1.;\n" + BUSY)
+    outcome = run(freefem, file, tmp_path, 60)
+    assert outcome.kind == "out_of_memory"
+    assert outcome.wall_s < 20
+    assert "Run fewer side by side" in outcome.message
+    assert not processes_of(file)
 
 
 PLUGIN = """#include "ff++.hpp"
