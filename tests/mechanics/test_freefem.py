@@ -23,7 +23,8 @@ from lacli.mechanics import freefem as ff
 from lacli.mechanics import process
 from lacli.mechanics.freefem import FreeFem, build_plugin, find, parse_progress, parse_stop, run
 
-BUSY = 'cout << "@ progress phase=load load=0.5 step=0.1 newton=2 residual=1e-3 minj=0.9" << endl; cout.flush;\nwhile (true) clock();\n'
+SPEAK = 'cout << "@ progress phase=load load=0.5 step=0.1 newton=2 residual=1e-3 minj=0.9" << endl; cout.flush;\n'
+BUSY = SPEAK + "while (true) clock();\n"
 DONE = 'cout << "@ done" << endl; cout.flush;\n'
 
 
@@ -102,7 +103,7 @@ def test_success_needs_the_last_word(freefem: FreeFem, tmp_path: Path) -> None:
 
 def test_lines_arrive_while_the_script_runs(freefem: FreeFem, tmp_path: Path) -> None:
     times = []
-    text = BUSY.replace("while (true) clock();", 'exec("sleep 0.7");') + DONE
+    text = SPEAK + 'exec("sleep 0.7");\n' + DONE
     run(freefem, script(tmp_path, text), tmp_path, 30, on_line=lambda line: times.append(time.monotonic()))
     assert len(times) >= 2
     assert times[-1] - times[0] > 0.5
@@ -134,7 +135,7 @@ def test_errors_inside_freefem_are_quoted(freefem: FreeFem, tmp_path: Path, text
 
 def test_timeout_kills_freefem_and_its_children(freefem: FreeFem, tmp_path: Path) -> None:
     marker = tmp_path / "deck.edp"
-    text = BUSY.replace("while (true) clock();", f"exec(\"sh -c 'sleep 60; : {marker}'\");")
+    text = SPEAK + f"exec(\"sh -c 'sleep 60; : {marker}'\");\n"
     start = time.monotonic()
     outcome = run(freefem, script(tmp_path, text), tmp_path, 0.6)
     assert outcome.kind == "timeout"
