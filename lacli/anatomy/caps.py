@@ -8,6 +8,7 @@ import numpy as np
 
 from lacli.anatomy.cells import row_keys, volumes
 from lacli.anatomy.frame import unit
+from lacli.anatomy.polish import polish
 from lacli.anatomy.prisms import shorter_diagonals, split_prisms
 from lacli.anatomy.surface import FloatArray, IntArray, nearest, unique_edges
 from lacli.errors import AnatomyError
@@ -76,8 +77,10 @@ def extrude_plate(points: FloatArray, rim: IntArray, outer_faces: IntArray, cent
     base = everything[used]
     edges, of_triangle = unique_edges(local)
     vector = _even_tops(base, local, edges, thickness * normal)
+    starts = shorter_diagonals(base, vector, local, edges, of_triangle)
+    vector = polish(base, vector, local, starts, np.full(3 * len(local), 0.2))
     everything = np.vstack([everything, base + vector])
-    tets = split_prisms(foot, top_ids[local], shorter_diagonals(base, vector, local, edges, of_triangle))
+    tets = split_prisms(foot, top_ids[local], starts)
     bad = volumes(everything, tets) <= 0
     if bad.any():
         raise AnatomyError(f"The plate over an opening has {int(bad.sum())} inverted cells: its cut is too uneven.")

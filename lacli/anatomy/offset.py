@@ -9,6 +9,7 @@ import numpy as np
 
 from lacli.anatomy.cells import scaled_jacobian
 from lacli.anatomy.frame import unit
+from lacli.anatomy.polish import polish
 from lacli.anatomy.prisms import shorter_diagonals, split_prisms
 from lacli.anatomy.projection import Reference, border_edges, side_of
 from lacli.anatomy.surface import FloatArray, IntArray, Surface, unique_edges
@@ -21,12 +22,14 @@ GOOD = 0.2
 @dataclass(frozen=True)
 class Offset:
     """vector (n, 3) mm: from each point of the surface to the outer side; middle (e, 3) mm: smooth middle of each edge on
-    the surface, middle_vector (e, 3): from there outward; thinned (n,) bool: less than asked, to stay valid."""
+    the surface, middle_vector (e, 3): from there outward; thinned (n,) bool: less than asked, to stay valid;
+    starts (t, 3): the diagonals for split_prisms."""
 
     vector: FloatArray
     middle: FloatArray
     middle_vector: FloatArray
     thinned: np.ndarray
+    starts: np.ndarray
 
 
 def offset_surface(
@@ -49,13 +52,13 @@ def offset_surface(
     if outer is not None:
         nominal = _reach(surface.points, nominal, outer, sides)
     vector = _clear(surface.points, nominal, reference, asked)
-    vector = _untangle(surface, edges, vector)
+    vector, starts = _untangle(surface, edges, vector)
     length, wanted = np.linalg.norm(vector, axis=1), np.linalg.norm(nominal, axis=1)
     ratio = length / wanted
     turned = np.einsum("ij,ij->i", vector, nominal) / (length * wanted) < 0.999
     chord = surface.points[edges].mean(axis=1)
     if not curved:
-        return Offset(vector, chord, vector[edges].mean(axis=1), ratio < 0.95)
+        return Offset(vector, chord, vector[edges].mean(axis=1), ratio < 0.95, starts)
     middle, edge_sides = _middles(surface, edges, chord, reference)
     free = _vectors(middle, edge_sides, reference, thickness(middle)) if outer is None else vector[edges].mean(axis=1)
     mean = vector[edges].mean(axis=1)
@@ -66,7 +69,7 @@ def offset_surface(
     free = np.where(fading[:, None], faded, free)
     changed = (turned | (ratio < 0.98))[edges].any(axis=1) & ~fading
     mean *= (length[edges].mean(axis=1) / np.maximum(np.linalg.norm(mean, axis=1), 1e-12))[:, None]
-    return Offset(vector, middle, np.where(changed[:, None], mean, free), ratio < 0.95)
+    return Offset(vector, middle, np.where(changed[:, None], mean, free), ratio < 0.95, starts)
 
 
 def _sides_at_points(surface: Surface) -> IntArray:
@@ -125,18 +128,20 @@ def _clear(points: FloatArray, vector: FloatArray, reference: Reference, thickne
     return scale[:, None] * vector
 
 
-def _untangle(surface: Surface, edges: IntArray, vector: FloatArray) -> FloatArray:
+def _untangle(surface: Surface, edges: IntArray, vector: FloatArray) -> tuple[FloatArray, np.ndarray]:
     """Vectors evened out with their neighbours' where the cells between are poor, and shortened where that is not enough."""
     n = len(surface.points)
     bottom, top = surface.triangles, surface.triangles + n
     _, of_triangle = unique_edges(bottom)
     degree = np.maximum(np.bincount(edges.ravel(), minlength=n), 1)[:, None]
     height = np.linalg.norm(vector, axis=1)
-    best, best_score = vector, -np.inf
+    starts = np.zeros(bottom.shape, dtype=bool)
+    best, best_score = (vector, starts, np.zeros(3 * len(bottom))), -np.inf
     on_rim = np.zeros(n, dtype=bool)
     on_rim[border_edges(surface.triangles, side_of(surface.label))] = True
-    for step in range(80):
-        tets = split_prisms(bottom, top, shorter_diagonals(surface.points, vector, bottom, edges, of_triangle))
+    for step in range(40):
+        starts = shorter_diagonals(surface.points, vector, bottom, edges, of_triangle)
+        tets = split_prisms(bottom, top, starts)
         quality = scaled_jacobian(np.vstack([surface.points, surface.points + vector]), tets)
         # a flat wall on long cells is poor by its proportions alone: ask for less there
         span = np.sqrt(np.repeat(surface.areas(), 3) * 2.3)
@@ -144,9 +149,9 @@ def _untangle(surface: Surface, edges: IntArray, vector: FloatArray) -> FloatArr
         poor = quality < fair
         score = float(quality.min())
         if score > best_score:
-            best, best_score = vector, score
+            best, best_score = (vector, starts, fair), score
         if not poor.any():
-            return vector
+            return vector, starts
         bad = np.zeros(n)
         bad[np.unique(tets[poor] % n)] = 1.0
         total = np.zeros_like(vector)
@@ -158,13 +163,13 @@ def _untangle(surface: Surface, edges: IntArray, vector: FloatArray) -> FloatArr
         size = np.linalg.norm(mixed, axis=1)
         goal = (1 - keep[:, 0]) * np.linalg.norm(vector, axis=1) + keep[:, 0] * np.linalg.norm(total, axis=1) / degree[:, 0]
         goal = np.where(bad > 0, goal * (0.97 if step > 8 else 1.0), goal)
-        if step > 10:  # what is still inverted turns towards the triangle it sees worst, and gives way faster
-            flat = np.unique(tets[quality < 0.05] % n)
-            mixed[flat] += 0.3 * goal[flat, None] * _worst_seen(surface, mixed)[flat]
+        if step > 4:  # what is still poor turns towards the triangle it sees worst, and gives way if inverted
+            mixed += 0.15 * (bad * goal)[:, None] * _worst_seen(surface, mixed)
             size = np.linalg.norm(mixed, axis=1)
-            goal[flat] *= 0.93
+            goal[np.unique(tets[quality < 0.05] % n)] *= 0.93
         vector = mixed * (goal / np.maximum(size, 1e-12))[:, None]
-    return best
+    vector, starts, fair = best
+    return polish(surface.points, vector, bottom, starts, fair * 1.02), starts
 
 
 def _worst_seen(surface: Surface, vector: FloatArray) -> FloatArray:

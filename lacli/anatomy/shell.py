@@ -15,7 +15,7 @@ from lacli.anatomy.bundle import ENDO, EPI, OPENINGS, OTHER, PLANES, REGIONS, TE
 from lacli.anatomy.cells import boundary_faces, curved_jacobian, edges_of, enclosed_volume_ml, scaled_jacobian
 from lacli.anatomy.frame import AtrialFrame, frame_from_openings, height, sectors, sweep, two_layer_fibres, unit
 from lacli.anatomy.offset import Offset, offset_surface
-from lacli.anatomy.prisms import shorter_diagonals, split_prisms
+from lacli.anatomy.prisms import split_prisms
 from lacli.anatomy.projection import Reference
 from lacli.anatomy.remesh import keep_volume, remesh_on
 from lacli.anatomy.rims import RING_WIDTH_MM, label_rings
@@ -69,7 +69,7 @@ def mesh_shell(
     surface = remesh_on(reference, cell_size_mm)
     if order == 1:
         surface = keep_volume(surface, cavity.volume_ml())
-    edges, of_triangle = unique_edges(surface.triangles)
+    edges, _ = unique_edges(surface.triangles)
 
     def asked(points: FloatArray) -> FloatArray:
         distance, near = (np.asarray(x) for x in tree.query(points, k=3))
@@ -78,16 +78,15 @@ def mesh_shell(
 
     off = offset_surface(surface, edges, reference, asked, outer, curved=order == 2)
     count = layers or max(1, round(float(np.median(thickness)) / cell_size_mm))
-    return _assemble(surface, edges, of_triangle, off, count, order)
+    return _assemble(surface, edges, off, count, order)
 
 
-def _assemble(surface: Surface, edges: IntArray, of_triangle: IntArray, off: Offset, layers: int, order: int) -> Bundle:
+def _assemble(surface: Surface, edges: IntArray, off: Offset, layers: int, order: int) -> Bundle:
     n = len(surface.points)
     level = np.arange(layers + 1) / layers
     points = np.concatenate([surface.points + s * off.vector for s in level])
-    starts = shorter_diagonals(surface.points, off.vector, surface.triangles, edges, of_triangle)
     tets = np.concatenate(
-        [split_prisms(surface.triangles + k * n, surface.triangles + (k + 1) * n, starts) for k in range(layers)]
+        [split_prisms(surface.triangles + k * n, surface.triangles + (k + 1) * n, off.starts) for k in range(layers)]
     )
     prism = np.tile(np.repeat(np.arange(len(surface.triangles)), 3), layers)
     label = surface.label[prism]
