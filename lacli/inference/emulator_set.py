@@ -30,13 +30,15 @@ _BATCH = 160
 
 @dataclass(frozen=True)
 class _Stack:
-    """Arrays for prediction. Features phi = (1, t, t^2), t = inputs on the linear and the logarithmic scale in [-1, 1].
+    """Arrays for prediction. Features phi = (1, t, t^2), t = inputs on the linear scale and those in ``logged`` on the
+    logarithmic one too, in [-1, 1].
 
     exponent (p, f, n): phi @ exponent = log of the kernel's correlation with each run; linear (p, f, 1 + q): the mean's
     and its uncertainty's part linear in phi; weights (p, n, 1 + q): their part linear in the correlations;
     roots (p, n, n): transposed inverse Cholesky factors times s2; prior (p,): s2 + nugget; nugget (p,); moments (p,) for the output.
     """
 
+    logged: NDArray[np.int64]
     low: FloatArray
     high: FloatArray
     exponent: FloatArray
@@ -168,7 +170,7 @@ def _features(s: _Stack, x: FloatArray) -> FloatArray:
     t = phi[:, 1 : 1 + d + logs]
     t[:, :d] = x
     if logs:
-        np.log(x, out=t[:, d:])
+        np.log(x[:, s.logged], out=t[:, d:])
     t -= s.low
     t *= 2.0 / (s.high - s.low)
     t -= 1.0
@@ -215,20 +217,19 @@ def _to_outputs(s: _Stack, which: list[int], mean: FloatArray, variance: FloatAr
 def _stack(emulators: Sequence[Emulator]) -> _Stack:
     first = emulators[0]
     d, n = len(first.low), len(first.process.y)
-    any_log = any(e.log_inputs.any() for e in emulators)
+    logged = np.flatnonzero(np.any([e.log_inputs for e in emulators], axis=0))
+    place = np.zeros(d, np.int64)  # of a logged input among the features
+    place[logged] = d + np.arange(len(logged))
     # the reference scale: a range that every emulator shares in value, on the linear and (if used) logarithmic scale
     x_low = np.where(first.log_inputs, np.exp(np.where(first.log_inputs, first.low, 0.0)), first.low)
     x_high = np.where(first.log_inputs, np.exp(np.where(first.log_inputs, first.high, 0.0)), first.high)
-    low, high = x_low, x_high
-    if any_log:
-        positive = x_low > 0
-        low = np.r_[x_low, np.where(positive, np.log(np.where(positive, x_low, 1.0)), 0.0)]
-        high = np.r_[x_high, np.where(positive, np.log(np.where(positive, x_high, 1.0)), 1.0)]
+    low = np.r_[x_low, np.log(x_low[logged])]
+    high = np.r_[x_high, np.log(x_high[logged])]
     f = len(low)
     exponent, linear, weights, roots = [], [], [], []
     for e in emulators:
         g = e.process
-        column = np.arange(d) + np.where(e.log_inputs, d, 0)  # the feature that carries input j
+        column = np.where(e.log_inputs, place, np.arange(d))  # the feature that carries input j
         # u = a t + b, with t the reference coordinate
         a = (high - low)[column] / (e.high - e.low)
         b = 2.0 * (low[column] - e.low) / (e.high - e.low) + a - 1.0
@@ -247,7 +248,7 @@ def _stack(emulators: Sequence[Emulator]) -> _Stack:
         weights.append(g.s2 * np.hstack([g.alpha[:, None], -(g.c @ g.g).T]))
         roots.append(np.ascontiguousarray(g.s2 * g.inverse_factor.T))
     return _Stack(
-        nugget=np.array([e.process.nugget for e in emulators]), low=low, high=high, exponent=np.array(exponent), linear=np.array(linear), weights=np.array(weights),
+        logged=logged, nugget=np.array([e.process.nugget for e in emulators]), low=low, high=high, exponent=np.array(exponent), linear=np.array(linear), weights=np.array(weights),
         roots=np.array(roots), prior=np.array([e.process.s2 + e.process.nugget for e in emulators]),
         shift=np.array([e.shift for e in emulators]), scale=np.array([e.scale for e in emulators]),
         inflation=np.array([e.inflation for e in emulators]), log_output=np.array([e.log_output for e in emulators]),
@@ -279,7 +280,7 @@ def load_emulators(path: Path) -> EmulatorSet:
     if not path.is_file():
         raise InputError(f"{path}: no such emulator file. Make it with `lacli emulate`.")
     try:
-        with np.load(path, allow_pickle=False) as a, one_thread():
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as a, one_thread():
             if int(a["format"]) != FORMAT:
                 raise InputError(
                     f"{path}: written in format {int(a['format'])}, this program reads {FORMAT}. Run `lacli emulate` again."

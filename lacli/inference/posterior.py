@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import warnings
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -312,7 +313,7 @@ def save_chain(path: Path, chain: Chain) -> None:
 def load_chain(path: Path) -> Chain:
     """Read what ``save_chain`` wrote; InputError if it cannot be."""
     try:
-        with np.load(path, allow_pickle=False) as a:
+        with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as a:
             if int(a["format"]) != _FORMAT:
                 raise InputError(f"{path}: a chain of another format; remove it to sample anew.")
             rest = a["generator_rest"]
@@ -321,5 +322,5 @@ def load_chain(path: Path) -> Chain:
                 tuple(str(n) for n in a["names"]), a["samples"], a["log_prob"], float(a["acceptance"]), a["rhat"], a["ess"],
                 bool(a["flags"][0]), state, a["tuning_points"], bool(a["flags"][1]), str(a["key"]),
             )  # fmt: skip
-    except (OSError, KeyError, ValueError, EOFError) as error:
+    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise InputError(f"{path}: not a chain, or a damaged one ({error}). Remove it to sample anew.") from error

@@ -68,7 +68,7 @@ def read_frame(path: Path) -> pd.DataFrame:
         if path.suffix.lower() in (".parquet", ".pq"):
             frame = pd.read_parquet(path)
         else:
-            frame = pd.read_csv(path, skipinitialspace=True, float_precision="round_trip")
+            frame = pd.read_csv(path, skipinitialspace=True)
     except Exception as error:
         raise TableError(f"{path}: cannot be read as a table ({error}). Use CSV with a header line, or Parquet.") from error
     frame.columns = [str(name).strip() for name in frame.columns]

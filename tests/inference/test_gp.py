@@ -1,0 +1,193 @@
+"""The Gaussian process against formulas written out in full, and the emulators built on it."""
+
+import numpy as np
+import pytest
+
+from lacli.errors import InputError
+from lacli.inference import gp
+from lacli.inference.emulator import fit_emulator, fit_emulators
+from lacli.inference.emulator_set import EmulatorSet, load_emulators, save_emulators
+from lacli.inference.paths import draw_functions
+from lacli.inference.table import RunTable
+from lacli.inference.validation import cross_validate, score
+
+
+def data(n=40, d=3, seed=0, noise=0.0):
+    rng = np.random.default_rng(seed)
+    u = rng.uniform(-1, 1, (n, d))
+    return u, np.sin(2 * u[:, 0]) + u[:, 1] + noise * rng.standard_normal(n)
+
+
+def kernel(theta, a, b):
+    d = a.shape[1]
+    return np.exp(theta[d]) * np.exp(-0.5 * (((a[:, None] - b[None]) / np.exp(theta[:d])) ** 2).sum(-1))
+
+
+def test_gradient_against_central_differences():
+    u, y = data()
+    noise = np.linspace(0.0, 0.01, len(y))
+    for theta in (np.log([1.0, 2.0, 0.5, 1.5, 1e-2]), np.log([0.3, 20.0, 3.0, 0.2, 1e-4])):
+        _, gradient = gp.negative_log_likelihood(theta, u, y, noise)
+        h = 1e-5
+        for i, e in enumerate(np.eye(5)):
+            up, down = (gp.negative_log_likelihood(theta + s * h * e, u, y, noise)[0] for s in (1, -1))
+            assert gradient[i] == pytest.approx((up - down) / (2 * h), rel=1e-5, abs=1e-5)
+
+
+def test_likelihood_is_the_restricted_one():
+    # integral of N(y | H b, K) over b: -1/2 (log|K| + log|H'K^-1 H| + y'Py), constants dropped; differences at two thetas
+    u, y = data(25)
+    h = np.hstack([np.ones((25, 1)), u])
+
+    def direct(theta):
+        k = kernel(theta, u, u) + np.exp(theta[-2] + theta[-1]) * np.eye(25)
+        ki = np.linalg.inv(k)
+        a = h.T @ ki @ h
+        p = ki - ki @ h @ np.linalg.inv(a) @ h.T @ ki
+        centre, spread = gp._prior(3)
+        return 0.5 * (np.linalg.slogdet(k)[1] + np.linalg.slogdet(a)[1] + y @ p @ y) + 0.5 * (((theta - centre) / spread) ** 2).sum()
+
+    for theta in (np.log([1.0, 2.0, 0.5, 1.5, 1e-2]), np.log([0.7, 1.0, 3.0, 0.5, 1e-1])):
+        assert gp.negative_log_likelihood(theta, u, y, np.zeros(25))[0] == pytest.approx(direct(theta), rel=1e-9)
+
+
+def test_prediction_is_generalised_least_squares_kriging():
+    u, y = data(30)
+    noise = np.full(30, 3e-3)
+    theta = np.log([1.0, 2.0, 0.8, 1.5, 1e-2])
+    process = gp.condition(theta, u, y, noise)
+    new = np.random.default_rng(1).uniform(-1.3, 1.3, (11, 3))
+    k = kernel(theta, u, u) + np.diag(np.exp(theta[-2] + theta[-1]) + noise)
+    ks, h, hs = kernel(theta, new, u), gp.basis(u), gp.basis(new)
+    ki = np.linalg.inv(k)
+    cov = np.linalg.inv(h.T @ ki @ h)
+    beta = cov @ h.T @ ki @ y
+    r = hs - ks @ ki @ h
+    mean, variance = process.predict(new)
+    assert mean == pytest.approx(hs @ beta + ks @ ki @ (y - h @ beta), rel=1e-9)
+    expected = np.exp(theta[-2]) * (1 + np.exp(theta[-1])) - np.diag(ks @ ki @ ks.T) + np.diag(r @ cov @ r.T)
+    assert variance == pytest.approx(expected, rel=1e-8)
+    # leave-one-out: the same formulas without the run
+    errors, variances = process.leave_one_out()
+    keep = np.arange(30) != 4
+    m, v = gp.condition(theta, u[keep], y[keep], noise[keep]).predict(u[4:5])
+    assert errors[4] == pytest.approx(y[4] - m[0], rel=1e-7)
+    assert variances[4] == pytest.approx(v[0] + noise[4], rel=1e-7)
+
+
+def test_a_linear_function_is_learnt_exactly_and_beyond_the_runs():
+    rng = np.random.default_rng(0)
+    x = rng.random((20, 3))
+    emulator = fit_emulator(x, x @ [1.0, -2.0, 3.0] - 5.0)
+    far = 3.0 * np.ones((1, 3))
+    assert emulator.predict(far)[0][0] == pytest.approx(1.0, abs=1e-2)  # 3 (1 - 2 + 3) - 5 = 1
+
+
+def test_a_power_law_is_put_on_logarithmic_scales():
+    rng = np.random.default_rng(1)
+    x = np.exp(rng.uniform(np.log(0.1), np.log(10.0), (60, 2)))
+    emulator = fit_emulator(x, 3.0 * x[:, 0] ** 1.5 / x[:, 1])
+    assert emulator.log_output and emulator.log_inputs.all()
+    mean, variance = emulator.predict(np.array([[2.0, 0.5]]))
+    assert mean[0] == pytest.approx(3.0 * 2.0**1.5 / 0.5, rel=1e-3)
+    assert 0 < variance[0] < 1e-2
+
+
+def test_known_noise_is_not_taken_for_signal():
+    u, clean = data(60, seed=3)
+    rng = np.random.default_rng(4)
+    sd = np.where(np.arange(60) % 2, 0.5, 0.0)
+    y = clean + sd * rng.standard_normal(60)
+    new, truth = data(200, seed=5)
+    blind = fit_emulator(u, y).predict(new)[0]
+    told = fit_emulator(u, y, error_sd=sd).predict(new)[0]
+    assert np.mean((told - truth) ** 2) < 0.25 * np.mean((blind - truth) ** 2)
+
+
+def test_the_same_seed_gives_the_same_bits():
+    u, y = data(30, noise=0.05)
+    one, two = (fit_emulator(u, y, seed=3) for _ in range(2))
+    assert np.array_equal(one.process.theta, two.process.theta) and one.inflation == two.inflation
+    assert np.array_equal(one.process.inverse_factor, two.process.inverse_factor)
+
+
+@pytest.fixture(scope="module")
+def emulators():
+    rng = np.random.default_rng(7)
+    x = np.c_[rng.uniform(0.2, 6.0, 70), rng.uniform(-1, 1, 70), rng.uniform(5, 9, 70)]
+    y = np.c_[np.log(x[:, 0]) + x[:, 1] ** 2, np.exp(0.4 * x[:, 0] * x[:, 1]), np.cos(x[:, 2])]
+    table = RunTable(("a", "b", "c"), ("p", "q", "r"), x, y, np.zeros_like(y), np.empty((0, 3)))
+    return EmulatorSet(table.inputs, tuple(fit_emulators(table)))
+
+
+def points(count):
+    rng = np.random.default_rng(8)
+    return np.c_[rng.uniform(0.2, 6.0, count), rng.uniform(-1, 1, count), rng.uniform(5, 9, count)]
+
+
+@pytest.mark.parametrize("count", [1, 7, 1300])
+def test_batched_prediction_equals_each_emulator(emulators, count):
+    x = points(count)
+    mean, variance = emulators.predict(x)
+    for j, e in enumerate(emulators.emulators):
+        m, v = e.predict(x)
+        assert mean[:, j] == pytest.approx(m, rel=1e-8, abs=1e-9)
+        assert variance[:, j] == pytest.approx(v, rel=1e-6)
+        m, v = emulators.predict_one(j, x)
+        assert m == pytest.approx(mean[:, j], rel=1e-8, abs=1e-9) and v == pytest.approx(variance[:, j], rel=1e-6)
+
+
+def test_screen_bounds_hold_everywhere(emulators):
+    x = points(3000)
+    mean, variance = emulators.predict(x)
+    slack = 1 + 1e-9
+    for j in range(3):
+        m0, m1, v0, v1 = emulators.screen(j, x)
+        assert (m0 <= mean[:, j] + 1e-9 * np.abs(mean[:, j])).all() and (m1 >= mean[:, j] - 1e-9 * np.abs(mean[:, j])).all()
+        assert (v0 <= variance[:, j] * slack).all() and (v1 * slack >= variance[:, j]).all()
+
+
+def test_saved_emulators_predict_the_same_bits(emulators, tmp_path):
+    path = tmp_path / "e.npz"
+    save_emulators(path, emulators)
+    back = load_emulators(path)
+    x = points(300)
+    assert all(np.array_equal(a, b) for a, b in zip(emulators.predict(x), back.predict(x), strict=True))
+    assert back.inputs == emulators.inputs and back.outputs == emulators.outputs
+    assert np.allclose(np.sort(back.training_inputs(), 0), np.sort(emulators.training_inputs(), 0))
+    path.write_bytes(path.read_bytes()[:500])
+    with pytest.raises(InputError, match="damaged"):
+        load_emulators(path)
+    with pytest.raises(InputError, match="no such"):
+        load_emulators(tmp_path / "absent.npz")
+
+
+def test_function_draws_have_the_emulators_moments(emulators):
+    e = emulators.emulators[2]  # linear output scale
+    x = points(60)
+    draws = draw_functions(e, x, 3000, seed=1)
+    mean, variance = e.predict(x)
+    variance -= e.inflation * e.scale**2 * e.process.nugget
+    z = (draws.mean(1) - mean) / np.sqrt(variance / 3000)
+    # random features approximate the prior: moments agree to their accuracy
+    assert np.abs(z).mean() < 3.0
+    assert np.median(draws.var(1) / variance) == pytest.approx(1.0, abs=0.15)
+
+
+def test_scores_by_hand():
+    # errors 0, 1, -3 with sd 1: RSS 10, TSS 2 -> R2 = -4; |error| < 2 in two of three, though -3 < 2 without the modulus
+    r2, ise, nlpd = score(np.array([0.0, 1.0, 2.0]), np.array([0.0, 0.0, 5.0]), np.ones(3))
+    assert r2 == pytest.approx(-4.0) and ise == pytest.approx(2 / 3)
+    # standardised by the sd of y (variance 2/3): log term 1/2 log(2 pi 3/2), quadratic term 1/2 mean(0, 1, 9)
+    assert nlpd == pytest.approx(0.5 * np.log(3 * np.pi) + 10 / 6)
+
+
+def test_cross_validation_covers_what_it_claims():
+    rng = np.random.default_rng(11)
+    x = rng.random((90, 3))
+    y = np.sin(4 * x[:, :1]) + x[:, 1:2] * x[:, 2:] + 0.05 * rng.standard_normal((90, 1))
+    table = RunTable(("a", "b", "c"), ("y",), x, y, np.zeros_like(y), np.empty((0, 3)))
+    s = cross_validate(table, starts=1)[0]
+    # binomial: 0.955 of 90, sd 0.022
+    assert 0.89 <= s.ise <= 1.0
+    assert s.r2 > 0.95 and s.train_cpu_s > 0
