@@ -127,13 +127,13 @@ def _compiler(freefem: FreeFem) -> Check:
     name = "compiled kernels"
     if obstacle := ff.plugin_obstacle(freefem):
         text, _, fix = obstacle.partition(": ")
-        return Check(name, False, f"{text}; the script path gives the same numbers, slower", needed=False, fix=fix)
+        return Check(name, False, text, fix=fix)
     try:
         for source in sorted(resource_folder("solvers").rglob("*.cpp")):
             ff.compile_plugin(freefem, source)
     except SolverMissingError as error:
-        return Check(name, False, f"{error}; the script path gives the same numbers, slower", needed=False, fix=ff.INSTALL)
-    return Check(name, True, f"{freefem.compiler}, kept in {ff.default_cache()}", needed=False)
+        return Check(name, False, str(error), fix=ff.INSTALL)
+    return Check(name, True, f"{freefem.compiler}, kept in {ff.default_cache()}")
 
 
 def _run_python(code: str) -> tuple[bool, str]:
