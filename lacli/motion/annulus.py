@@ -95,7 +95,7 @@ def load_motion(folder: Path) -> Motion:
     if not file.is_file():
         raise InputError(f"{file}: no such file. `lacli synthesize` writes one; without it the annulus stays in place.")
     try:
-        with np.load(file, allow_pickle=False) as data:
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
             motion = Motion(
                 np.asarray(data["times"], dtype=np.float64),
                 np.asarray(data["wall_point"], dtype=np.int64),

@@ -1,0 +1,165 @@
+"""The parametric atrium: asked volume, plausible places, valid cells, motion that comes back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lacli.anatomy import cells
+from lacli.anatomy.bundle import OPENINGS, PLANES, RINGS, Bundle, check, load, save
+from lacli.anatomy.shell import frame_of
+from lacli.anatomy.surface import Surface, defects
+from lacli.anatomy.synthetic import cavity, signed_distance, sized, synthesize
+from lacli.anatomy.synthetic_shape import COHORT_ML, cohort_volume
+from lacli.errors import AnatomyError, InputError
+from lacli.motion.annulus import FILE, Motion, annulus_points, descend, load_motion, save_motion
+
+VOLUME = 80.0
+
+
+@pytest.fixture(scope="module")
+def made() -> tuple[Bundle, Motion]:
+    return synthesize(4, VOLUME)
+
+
+def centres(surface: Surface) -> dict[str, np.ndarray]:
+    middle = surface.points[surface.triangles].mean(axis=1)
+    return {name: middle[surface.label == PLANES[name]].mean(axis=0) for name in OPENINGS}
+
+
+def valid(bundle: Bundle) -> None:
+    check(bundle, "synthetic")
+    quality = cells.scaled_jacobian(bundle.points, bundle.tets)
+    assert quality.min() >= 0.2
+    assert cells.curved_jacobian(bundle.points, bundle.tets).min() > 0.15
+    assert defects(bundle.cavity_triangles()[:, :3]) == ""
+
+
+def test_the_mesh_encloses_the_volume_asked(made: tuple[Bundle, Motion]) -> None:
+    bundle, _ = made
+    valid(bundle)
+    assert bundle.order == 2
+    assert -cells.enclosed_volume_ml(bundle.points, bundle.cavity_triangles()) == pytest.approx(VOLUME, rel=1e-3)
+    # 2 mm over the cavity's surface, a little more because the outside is larger
+    inner = Surface(bundle.points, bundle.cavity_triangles()[:, :3], np.zeros(0)).area_mm2()
+    wall = cells.enclosed_volume_ml(bundle.points, bundle.triangles) * 1000
+    assert 2.0 * inner < wall < 2.4 * inner
+    assert set(np.unique(bundle.region)) == {1, 2, 3, 4, 5, *RINGS.values(), *PLANES.values()}
+
+
+@pytest.mark.parametrize("seed", [1, 7])
+def test_openings_are_where_anatomy_has_them(seed: int) -> None:
+    surface = cavity(sized(seed))
+    place = centres(surface)
+    frame = frame_of(surface)
+    at = {name: frame.components(p[None])[0] for name, p in place.items()}  # left, anterior, roof
+    for right in ("rspv", "ripv"):
+        assert at[right][0] < -10
+    for left in ("lspv", "lipv", "appendage"):
+        assert at[left][0] > 10
+    assert at["rspv"][2] > at["ripv"][2] + 5
+    assert at["lspv"][2] > at["lipv"][2] + 5
+    assert at["mv"][2] < -15
+    assert at["appendage"][1] > at["lspv"][1] > at["lipv"][1]
+    assert min(place.values(), key=lambda p: np.linalg.norm(p - place["appendage"]) or 99) is place["lspv"]
+    area = {name: surface.areas()[surface.label == PLANES[name]].sum() for name in OPENINGS}
+    assert 500 < area["mv"] < 1400
+    assert all(60 < area[name] < 350 for name in OPENINGS[1:])
+
+
+def test_seeds_give_different_atria_of_the_cohorts_volumes() -> None:
+    volumes = [cohort_volume(seed) for seed in range(1, 11)]
+    assert min(volumes) > COHORT_ML[0]
+    assert max(volumes) < COHORT_ML[1]
+    assert np.std(volumes) > 15
+    one, two = (cavity(sized(seed, VOLUME)) for seed in (1, 2))
+    assert one.volume_ml() == pytest.approx(two.volume_ml(), rel=1e-9)
+    assert abs(one.area_mm2() / two.area_mm2() - 1) > 1e-3
+
+
+def test_the_signed_distance_is_zero_on_the_surface_and_signed_beside_it() -> None:
+    surface = cavity(sized(4, VOLUME))
+    wall = surface.label == 0
+    middle = surface.points[surface.triangles].mean(axis=1)
+    assert np.abs(signed_distance(4, middle[wall][::20], VOLUME)).max() < 0.15
+    normal = surface.normals()
+    for label in PLANES.values():
+        plane = np.flatnonzero(surface.label == label)[:5]
+        assert (signed_distance(4, middle[plane] + 1.0 * normal[plane], VOLUME) > 0).all()
+        assert (signed_distance(4, middle[plane] - 1.0 * normal[plane], VOLUME) < 0).all()
+        # uncut, the vessel goes on beyond its plane
+        assert (signed_distance(4, middle[plane] + 1.0 * normal[plane], VOLUME, clipped=False) < 0.1).any()
+
+
+@pytest.mark.parametrize("volume", [0.0, -3.0, 4000.0, float("nan")])
+def test_impossible_volumes_are_refused(volume: float) -> None:
+    with pytest.raises(AnatomyError, match="mL"):
+        sized(1, volume)
+
+
+def test_the_annulus_descends_and_comes_back(made: tuple[Bundle, Motion], tmp_path: Path) -> None:
+    bundle, motion = made
+    assert motion.positions.shape == (10, len(motion.wall_point), 3)
+    assert motion.positions[0] == pytest.approx(bundle.points[motion.wall_point])
+    assert set(motion.wall_point) == set(annulus_points(bundle))
+    moved = motion.displacement().mean(axis=1)  # of the ring's middle
+    height = np.linalg.norm(moved, axis=1)
+    assert height.argmax() == np.argmin(np.abs(motion.times - motion.es_time))
+    assert height.max() == pytest.approx(8.0, rel=1e-6)
+    assert height[-1] < 1.0
+    # downward: away from the cavity's middle
+    ring = bundle.points[motion.wall_point].mean(axis=0)
+    middle = bundle.points[np.unique(bundle.cavity_triangles())].mean(axis=0)
+    assert moved[height.argmax()] @ (ring - middle) / np.linalg.norm(ring - middle) > 7.5
+    save_motion(motion, tmp_path)
+    again = load_motion(tmp_path)
+    assert np.array_equal(again.positions, motion.positions)
+    assert again.es_time == motion.es_time
+    rigid = descend(bundle, frames=20, descent_mm=5.0, circumference_change=0.0).displacement()
+    assert np.ptp(rigid, axis=1).max() < 1e-9
+    assert np.linalg.norm(rigid, axis=2).max() == pytest.approx(5.0, rel=1e-6)
+
+
+def test_damaged_motions_are_named(made: tuple[Bundle, Motion], tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        load_motion(tmp_path)
+    save_motion(made[1], tmp_path)
+    whole = (tmp_path / FILE).read_bytes()
+    (tmp_path / FILE).write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError, match="cannot be read"):
+        load_motion(tmp_path)
+    motion = made[1]
+    np.savez(tmp_path / FILE, times=motion.times, wall_point=motion.wall_point[:-1], positions=motion.positions, es_time=0.4)
+    with pytest.raises(InputError, match="expected"):
+        load_motion(tmp_path)
+    np.savez(tmp_path / FILE, times=motion.times[::-1], wall_point=motion.wall_point, positions=motion.positions, es_time=0.4)
+    with pytest.raises(InputError, match="rise"):
+        load_motion(tmp_path)
+
+
+def test_a_bundle_goes_through_files(made: tuple[Bundle, Motion], tmp_path: Path) -> None:
+    bundle, _ = made
+    save(bundle, tmp_path / "b")
+    again = load(tmp_path / "b")
+    assert np.array_equal(again.tets, bundle.tets)
+    assert again.points == pytest.approx(bundle.points)
+    assert np.array_equal(np.sort(again.triangles, axis=1), np.sort(bundle.triangles, axis=1))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(1, 11))
+def test_ten_seeds_are_ten_valid_atria(seed: int) -> None:
+    bundle, _ = synthesize(seed)
+    valid(bundle)
+    assert bundle.info["cavity_volume_ml"] == pytest.approx(cohort_volume(seed), rel=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("thickness", "size"), [(0.7, 4.0), (0.7, 8.0), (5.0, 4.0), (5.0, 8.0), (2.0, 8.0), (2.0, 1.5)])
+def test_extreme_walls_and_cells(thickness: float, size: float) -> None:
+    bundle, _ = synthesize(1, thickness_mm=thickness, cell_size_mm=size)
+    check(bundle, "extreme")
+    assert cells.scaled_jacobian(bundle.points, bundle.tets).min() >= 0.04  # a 0.7 mm wall on 8 mm cells is that flat
+    assert cells.curved_jacobian(bundle.points, bundle.tets).min() > 0.1

@@ -1,0 +1,46 @@
+"""``lacli synthesize``: writes, keeps what is finished, refuses folders that are not its own."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from lacli.anatomy.bundle import load
+from lacli.cli.main import build
+from lacli.errors import AnatomyError
+from lacli.motion.annulus import load_motion
+
+
+def run(*arguments: str) -> str:
+    result = CliRunner().invoke(build({"synthesize"}), ["synthesize", *arguments], catch_exceptions=False)
+    assert result.exit_code == 0
+    return result.stdout
+
+
+def test_a_cohort_is_written_and_resumed(tmp_path: Path) -> None:
+    options = [str(tmp_path / "c"), "--cohort", "2", "--cell-size-mm", "8", "--volume-ml", "60", "--frames", "20", "--json"]
+    rows = json.loads(run(*options))
+    assert [row["seed"] for row in rows] == [1, 2]
+    for row in rows:
+        folder = Path(row["folder"])
+        assert row["cavity_volume_ml"] == pytest.approx(60.0, rel=5e-3)
+        bundle = load(folder)
+        assert len(bundle.tets) == row["cells"]
+        assert len(load_motion(folder).times) == 20
+    times = {f: f.stat().st_mtime_ns for f in tmp_path.rglob("wall.vtu")}
+    assert len(times) == 2
+    (tmp_path / "c" / "la02" / "motion.npz").unlink()  # an unfinished one is made again, the other kept
+    assert json.loads(run(*options)) == rows
+    changed = [f.parent.name for f, t in times.items() if f.stat().st_mtime_ns != t]
+    assert changed == ["la02"]
+    assert not list(tmp_path.rglob("*.partial"))
+
+
+def test_a_folder_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("thesis")
+    with pytest.raises(AnatomyError, match="was not written by"):
+        run(str(tmp_path))
+    assert (tmp_path / "mine.txt").read_text() == "thesis"
