@@ -128,9 +128,11 @@ def _compiler(freefem: FreeFem) -> Check:
     if obstacle := ff.plugin_obstacle(freefem):
         text, _, fix = obstacle.partition(": ")
         return Check(name, False, text, fix=fix)
+    from lacli.mechanics.simulation import PLUGIN_FLAGS
+
     try:
         for source in sorted(resource_folder("solvers").rglob("*.cpp")):
-            ff.compile_plugin(freefem, source)
+            ff.compile_plugin(freefem, source, flags=PLUGIN_FLAGS)
     except SolverMissingError as error:
         return Check(name, False, str(error), fix=ff.INSTALL)
     return Check(name, True, f"{freefem.compiler}, kept in {ff.default_cache()}")

@@ -384,5 +384,8 @@ def _plugin_key(freefem: FreeFem, source: Path, flags: Sequence[str]) -> str:
     state = freefem.binary.resolve().stat()
     texts = [source, *sorted(path for path in source.parent.iterdir() if path.suffix in (".hpp", ".h"))]
     parts = [path.read_text(encoding="utf-8") for path in texts]
+    if any("native" in flag for flag in flags):  # a home shared by machines of several kinds
+        cpu = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
+        parts += [line for line in cpu.splitlines() if line.startswith(("flags", "Features"))][:1]
     parts += [freefem.version, str(state.st_size), str(state.st_mtime_ns), str(freefem.compiler), compiler.strip(), *flags]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
