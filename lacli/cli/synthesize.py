@@ -26,9 +26,13 @@ def command(
     frames: Annotated[int, typer.Option(help="Frames of the annulus' motion over the cycle.")] = 10,
     descent_mm: Annotated[float, typer.Option(help="How far the annulus descends, mm.")] = 8.0,
     cohort: Annotated[int, typer.Option(help="Number of atria; 0: one, written into OUT itself.")] = 0,
+    image: Annotated[
+        bool, typer.Option("--image", help="Also labels.nrrd (LA 2, LV 3, wall 4) and a noisy ct.nrrd with fat.")
+    ] = False,
+    voxel_mm: Annotated[float, typer.Option(help="Voxel size of the images, mm.")] = 0.6,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
 ) -> None:
-    """Write a parametric left atrium from a seed: bundle (wall, boundary, regions, fibres) and annulus motion.
+    """Write a parametric left atrium from a seed: bundle (wall, boundary, regions, fibres), annulus motion, images if asked.
 
     A folder that was written with the same options is kept as it is.
 
@@ -38,6 +42,8 @@ def command(
     """
     if cohort < 0 or seed < 0:
         raise UsageError("--seed and --cohort must not be negative.")
+    if not 0.2 <= voxel_mm <= 3.0:
+        raise UsageError(f"--voxel-mm must lie between 0.2 and 3 mm, got {voxel_mm:g}.")
     wanted = {
         "volume_ml": volume_ml,
         "thickness_mm": thickness_mm,
@@ -51,7 +57,7 @@ def command(
     with progress() as bar:
         task = bar.add_task("synthesizing", total=len(places))
         for number, folder in places:
-            rows.append(_one(number, folder, wanted))
+            rows.append(_one(number, folder, wanted, voxel_mm if image else None))
             bar.advance(task)
     if as_json:
         print_json(rows)
@@ -78,7 +84,7 @@ def command(
     )
 
 
-def _one(seed: int, folder: Path, wanted: dict[str, Any]) -> dict[str, Any]:
+def _one(seed: int, folder: Path, wanted: dict[str, Any], voxel_mm: float | None) -> dict[str, Any]:
     """Write one atrium under a temporary name, then rename; return its row."""
     from dataclasses import replace
 
@@ -87,7 +93,7 @@ def _one(seed: int, folder: Path, wanted: dict[str, Any]) -> dict[str, Any]:
     from lacli.anatomy.synthetic import synthesize
     from lacli.motion.annulus import save_motion
 
-    made_from = {"seed": seed, **wanted}
+    made_from = {"seed": seed, **wanted, "voxel_mm": voxel_mm}
     info = _finished(folder, made_from)
     if info is None:
         bundle, motion = synthesize(seed, **wanted)
@@ -101,6 +107,8 @@ def _one(seed: int, folder: Path, wanted: dict[str, Any]) -> dict[str, Any]:
         }
         partial = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
         try:
+            if voxel_mm is not None:
+                info["image"] = _images(seed, wanted, voxel_mm, partial)
             save(replace(bundle, info=info), partial)
             save_motion(motion, partial)
             if folder.exists():
@@ -119,7 +127,20 @@ def _one(seed: int, folder: Path, wanted: dict[str, Any]) -> dict[str, Any]:
         "scaled_jacobian_min": shell["scaled_jacobian_min"],
         "share_below_02": shell["scaled_jacobian_share_below_02"],
         "curved_jacobian_min": shell["curved_jacobian_min"],
+        **{f"image_{name}": value for name, value in info.get("image", {}).items()},
     }
+
+
+def _images(seed: int, wanted: dict[str, Any], voxel_mm: float, folder: Path) -> dict[str, float]:
+    """Label map and CT of the same atrium, veins going on past their cuts; what is in them, mL."""
+    from lacli.anatomy.image import write
+    from lacli.anatomy.synthetic_image import images
+
+    folder.mkdir(parents=True, exist_ok=True)
+    made = images(seed, wanted["volume_ml"], (voxel_mm,) * 3, wanted["thickness_mm"])
+    write(made.labels, folder / "labels.nrrd")
+    write(made.ct, folder / "ct.nrrd")
+    return {"fat_ml": made.fat_ml, "pool_ml": made.pool_ml}
 
 
 def _finished(folder: Path, made_from: dict[str, Any]) -> dict[str, Any] | None:

@@ -9,6 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from lacli.anatomy.bundle import load
+from lacli.anatomy.image import read
 from lacli.cli.main import build
 from lacli.errors import AnatomyError
 from lacli.motion.annulus import load_motion
@@ -44,3 +45,15 @@ def test_a_folder_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
     with pytest.raises(AnatomyError, match="was not written by"):
         run(str(tmp_path))
     assert (tmp_path / "mine.txt").read_text() == "thesis"
+
+
+def test_images_come_with_it(tmp_path: Path) -> None:
+    options = ["--cell-size-mm", "8", "--volume-ml", "50", "--image", "--voxel-mm", "1.5", "--json"]
+    (row,) = json.loads(run(str(tmp_path / "a"), *options))
+    labels, ct = (read(tmp_path / "a" / f"{name}.nrrd") for name in ("labels", "ct"))
+    assert labels.array.shape == ct.array.shape
+    # the blood with its uncut veins is more than the clipped cavity, by four veins and an appendage of some mL each
+    pool = float((labels.array == 2).sum()) * labels.voxel_ml
+    assert pool == pytest.approx(row["image_pool_ml"], rel=1e-6)
+    assert 50 < pool < 85
+    assert row["image_fat_ml"] > 1
