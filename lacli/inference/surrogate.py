@@ -11,12 +11,15 @@ from lacli.inference.likelihood import Density, gaussian_log_likelihood
 
 FloatArray = NDArray[np.float64]
 
+_STEEP = 30.0
+
 
 @dataclass(frozen=True)
 class Surrogate:
     """Cubic polynomials for the emulators' means and log variances on the inputs' scales.
 
-    low, high (d,), log_inputs (d,): scale to [-1, 1]; coefficients (terms, 2 p); floor, ceiling (p,) of the log variance.
+    low, high (d,), log_inputs (d,): scale to [-1, 1]; coefficients (terms, 2 p); floor, ceiling (p,) of the log variance; threshold on the implausibility from which the density
+    is zero (infinite where that is not for these emulators to say).
     """
 
     density: Density
@@ -27,9 +30,11 @@ class Surrogate:
     coefficients: FloatArray
     floor: FloatArray
     ceiling: FloatArray
+    threshold: float
 
     def __call__(self, x: FloatArray) -> FloatArray:
-        """Approximate log likelihood (m,) at x (m, d); -inf outside the box. The waves are left to the exact density."""
+        """Approximate log density (m,) at x (m, d); -inf outside the box, steeply falling (never zero: the exact density has
+        the last word) where the waves rule out."""
         value = np.full(len(x), -np.inf)
         rows = np.flatnonzero(self.density.region.box.contains(x))
         if not len(rows):
@@ -37,7 +42,11 @@ class Surrogate:
         fitted = _features(x[rows], self.low, self.high, self.log_inputs, self.cubic) @ self.coefficients
         p = len(self.floor)
         variance = np.exp(np.clip(fitted[:, p:], self.floor, self.ceiling))
-        value[rows] = gaussian_log_likelihood(fitted[:, :p], variance, self.density.targets)
+        targets = self.density.targets
+        value[rows] = gaussian_log_likelihood(fitted[:, :p], variance, targets)
+        if np.isfinite(self.threshold):
+            worst = np.sqrt(((fitted[:, :p] - targets.mean) ** 2 / (variance + targets.sd**2)).max(1))
+            value[rows] -= _STEEP * np.maximum(worst / self.threshold - 1.0, 0.0)
         return value
 
 
@@ -64,7 +73,12 @@ def fit_surrogate(density: Density, x: FloatArray) -> tuple[Surrogate, float]:
     coefficients = np.linalg.solve(a.T @ a + ridge, a.T @ b)
     p = len(density.targets.mean)
     log_variance = y[:, p:]
-    result = Surrogate(density, low, high, log_inputs, cubic, coefficients, log_variance.min(0) - 0.5, log_variance.max(0) + 0.5)
+    waves = density.region.waves
+    own = [w.threshold for w in waves if w.emulators is density.emulators and w.targets is density.targets]
+    result = Surrogate(
+        density, low, high, log_inputs, cubic, coefficients, log_variance.min(0) - 0.5, log_variance.max(0) + 0.5,
+        min(own, default=np.inf),
+    )  # fmt: skip
     error = result(x[kept_out]) - gaussian_log_likelihood(mean[kept_out], variance[kept_out], density.targets)
     return result, float(error.std())
 
