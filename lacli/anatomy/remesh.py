@@ -6,10 +6,12 @@ array arithmetic; borders between labels are curves of their own, whose points s
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from lacli.anatomy.projection import Reference, border_edges
@@ -18,6 +20,7 @@ from lacli.errors import AnatomyError
 
 INNER, BORDER, CORNER = 0, 1, 2
 MIN_EDGES_PER_RIM = 10
+Asked = Callable[[FloatArray], FloatArray]  # points (k, 3) mm -> wanted edge length (k,) mm
 
 
 @dataclass
@@ -104,29 +107,25 @@ def keep_volume(surface: Surface, volume_ml: float) -> Surface:
     return Surface(points, surface.triangles, surface.label)
 
 
-def _size_field(surface: Surface, size: float):  # type: ignore[no-untyped-def]
+def _size_field(surface: Surface, size: float) -> Asked:
     """Asked edge length at points: ``size``, less near rims too short for it."""
-    borders = border_edges(surface.triangles, surface.label)
     planes = border_edges(surface.triangles, np.where(surface.label >= 21, surface.label, 0))
     if len(planes) == 0:
         return lambda points: np.full(len(points), size)
     n = len(surface.points)
-    from scipy.sparse.csgraph import connected_components
-
     graph = coo_matrix((np.ones(len(planes)), (planes[:, 0], planes[:, 1])), shape=(n, n))
     _, piece = connected_components(graph, directed=False)
     length = np.linalg.norm(surface.points[planes[:, 0]] - surface.points[planes[:, 1]], axis=1)
     total = np.bincount(piece[planes[:, 0]], weights=length, minlength=piece.max() + 1)
     ids = np.unique(planes)
     local = np.minimum(size, total[piece[ids]] / MIN_EDGES_PER_RIM)
-    del borders
     if np.all(local >= size):
         return lambda points: np.full(len(points), size)
     tree = cKDTree(surface.points[ids])
 
     def asked(points: FloatArray) -> FloatArray:
-        distance, near = tree.query(points)
-        return np.minimum(size, local[near] + 0.4 * distance)
+        distance, near = (np.asarray(x) for x in tree.query(points))
+        return np.asarray(np.minimum(size, local[near] + 0.4 * distance), dtype=np.float64)
 
     return asked
 
@@ -154,7 +153,7 @@ def _project(mesh: _Mesh, ids: IntArray, reference: Reference) -> None:
             mesh.points[which] = reference.closest_on_border(mesh.points[which], (int(low), int(high)))
 
 
-def _split(mesh: _Mesh, reference: Reference, asked) -> None:  # type: ignore[no-untyped-def]
+def _split(mesh: _Mesh, reference: Reference, asked: Asked) -> None:
     """Halve edges longer than 4/3 of the asked length."""
     vector = _normal(mesh.points[mesh.triangles])
     expected = (np.linalg.norm(vector, axis=1) / mesh.size[mesh.triangles].mean(axis=1) ** 2).sum() / 0.87
@@ -216,7 +215,7 @@ def split_at(triangles: IntArray, label: IntArray, middle: IntArray) -> tuple[In
     return np.vstack(out), np.concatenate(labels)
 
 
-def _collapse(mesh: _Mesh, reference: Reference, asked) -> None:  # type: ignore[no-untyped-def]
+def _collapse(mesh: _Mesh, reference: Reference, asked: Asked) -> None:
     """Remove edges shorter than 4/5 of the asked length, an independent set at a time."""
     rng = np.random.default_rng(7)
     mesh.refusals = np.zeros(len(mesh.points))
@@ -268,7 +267,7 @@ def _independent(mesh: _Mesh, candidate: IntArray, priority: FloatArray) -> IntA
     return candidate[(around[a] >= rank) & (around[b] >= rank)]
 
 
-def _apply_collapse(mesh: _Mesh, chosen: IntArray, reference: Reference, asked) -> int:  # type: ignore[no-untyped-def]
+def _apply_collapse(mesh: _Mesh, chosen: IntArray, reference: Reference, asked: Asked) -> int:
     a, b = mesh.edges[chosen].T
     # the point that stays: the one on a border or corner, else either, moved to the middle
     stay = np.where(mesh.kind[b] > mesh.kind[a], b, a)
