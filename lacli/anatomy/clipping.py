@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lacli.anatomy import paths
-from lacli.anatomy.remesh import split_at
 from lacli.anatomy.surface import Surface, compact
+from lacli.anatomy.triangles import split_at
 from lacli.errors import AnatomyError
 
 FloatArray = NDArray[np.float64]

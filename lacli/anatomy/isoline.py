@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lacli.anatomy.remesh import split_at
 from lacli.anatomy.surface import FloatArray, IntArray, Surface, unique_edges
+from lacli.anatomy.triangles import split_at
 
 
 def snap(surface: Surface, value: FloatArray, movable: np.ndarray, share: float = 0.3) -> tuple[Surface, FloatArray]:
