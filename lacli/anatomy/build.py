@@ -15,7 +15,7 @@ from lacli.anatomy import branches, clipping, coordinates, extraction, landmarks
 from lacli.anatomy.bundle import OPENINGS, PLANES, Bundle
 from lacli.anatomy.image import Image
 from lacli.anatomy.landmarks import LPS, Axes, Landmarks, Opening
-from lacli.anatomy.repair import Repaired
+from lacli.anatomy.repair import Repaired, voxels
 from lacli.anatomy.shell import mesh_shell
 from lacli.anatomy.surface import Surface
 from lacli.errors import AnatomyError
@@ -267,27 +267,8 @@ def with_rims(skeleton: branches.Skeleton, vessels: list[Opening], mitral: Openi
 
 def voxel_field(surface: Surface, spacing_mm: float) -> Image:
     """A closed surface as a field, about 1 inside and 0 outside, on an isotropic grid."""
-    import vtk
-    from vtk.util.numpy_support import vtk_to_numpy
-
-    from lacli.anatomy.pictures import polydata
-
-    low = surface.points.min(axis=0) - 5.0 * spacing_mm
-    size = np.ceil((np.ptp(surface.points, axis=0)) / spacing_mm).astype(int) + 10
-    stencil = vtk.vtkPolyDataToImageStencil()
-    stencil.SetInputData(polydata(surface))
-    stencil.SetOutputSpacing(spacing_mm, spacing_mm, spacing_mm)
-    stencil.SetOutputOrigin(*low)
-    stencil.SetOutputWholeExtent(0, int(size[0]) - 1, 0, int(size[1]) - 1, 0, int(size[2]) - 1)
-    paint = vtk.vtkImageStencilToImage()
-    paint.SetInputConnection(stencil.GetOutputPort())
-    paint.SetInsideValue(1)
-    paint.SetOutsideValue(0)
-    paint.SetOutputScalarTypeToUnsignedChar()
-    paint.Update()
-    array = vtk_to_numpy(paint.GetOutput().GetPointData().GetScalars()).reshape(size[::-1]).astype(np.float32)
-    smooth = ndimage.gaussian_filter(array, 0.7)
-    return Image(smooth, np.full(3, spacing_mm), low, np.eye(3))
+    field = voxels(surface, spacing_mm)
+    return field.with_array(ndimage.gaussian_filter(field.array, 0.7))
 
 
 def ray_caster(field: Image, reach_mm: float = 25.0, step_mm: float = 0.25) -> Callable[[FloatArray, FloatArray], FloatArray]:

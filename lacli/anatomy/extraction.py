@@ -94,8 +94,8 @@ def _interpolate(field: NDArray[np.float32], where: NDArray[np.float64], axis: i
     return np.take(field, lower, axis=axis) * (1 - weight) + np.take(field, lower + 1, axis=axis) * weight
 
 
-def isosurface(field: Image, level: float) -> Surface:
-    """The closed surface field = level (flying edges), normals out, its largest part only."""
+def isosurface(field: Image, level: float, largest: bool = True) -> Surface:
+    """The closed surface field = level (flying edges), normals out; by default its largest part only."""
     import vtk
     from vtk.util.numpy_support import vtk_to_numpy
 
@@ -114,8 +114,9 @@ def isosurface(field: Image, level: float) -> Surface:
         raise AnatomyError("the smoothed label has no surface; is the structure thinner than the voxels?")
     index = vtk_to_numpy(out.GetPoints().GetData()).astype(float)
     triangles = vtk_to_numpy(out.GetPolys().GetConnectivityArray()).reshape(-1, 3).astype(np.int64)
-    _, part = paths.triangle_components(triangles)
-    triangles = triangles[part == np.argmax(np.bincount(part))]
+    if largest:
+        _, part = paths.triangle_components(triangles)
+        triangles = triangles[part == np.argmax(np.bincount(part))]
     used, local = np.unique(triangles, return_inverse=True)
     triangles = local.reshape(-1, 3)
     surface = Surface(field.to_world(index[used]), triangles, np.zeros(len(triangles), dtype=np.int64))

@@ -72,7 +72,7 @@ def read(path: Path) -> Image:
         raise InputError(f"{path}: no such file.")
     if path.stat().st_size == 0:
         raise InputError(f"{path}: the file is empty; export it again.")
-    _check_nifti_affine(path)
+    _check_nifti(path)
     sitk.ProcessObject_SetGlobalWarningDisplay(False)
     try:
         image = sitk.ReadImage(str(path))
@@ -101,32 +101,39 @@ def read(path: Path) -> Image:
     return Image(array, spacing, origin, direction)
 
 
-def _check_nifti_affine(path: Path) -> None:
-    """ITK replaces a broken NIfTI affine by a guess without a word, so the header is looked at first."""
-    if not path.name.lower().endswith((".nii", ".nii.gz")):
-        return
+def _check_nifti(path: Path) -> None:
+    """ITK replaces a broken NIfTI affine by a guess, and missing voxels by zeros, without a word: the file is looked at first."""
     import gzip
     import struct
+    import zlib
 
+    if not path.name.lower().endswith((".nii", ".nii.gz")):
+        return
     try:
-        with gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb") as stream:
-            header = stream.read(348)
-    except (OSError, EOFError) as error:
-        raise InputError(
-            f"{path}: the image cannot be read, the file is truncated or not compressed as its name says ({error})."
-        ) from None
-    if len(header) < 348:
-        raise InputError(f"{path}: the file is truncated, its header has {len(header)} bytes of 348.")
-    order = "<" if struct.unpack("<i", header[:4])[0] == 348 else ">"
-    if struct.unpack(order + "i", header[:4])[0] != 348:
+        content = path.read_bytes()
+        if path.name.lower().endswith(".gz"):
+            content = gzip.decompress(content)
+    except (OSError, EOFError, zlib.error) as error:
+        raise InputError(f"{path}: the file is truncated, or not compressed as its name says ({error}).") from None
+    if len(content) < 348:
+        raise InputError(f"{path}: the file is truncated, its header has {len(content)} bytes of 348.")
+    order = "<" if struct.unpack("<i", content[:4])[0] == 348 else ">"
+    if struct.unpack(order + "i", content[:4])[0] != 348:
         return  # NIfTI-2 or not NIfTI: the reader tells
-    pixdim = np.array(struct.unpack(order + "4f", header[76:92]))[1:]
-    qform, sform = struct.unpack(order + "2h", header[252:256])
+    dimensions = struct.unpack(order + "8h", content[40:56])
+    bits = struct.unpack(order + "h", content[72:74])[0]
+    offset = struct.unpack(order + "f", content[108:112])[0]
+    if 1 <= dimensions[0] <= 7 and np.isfinite(offset):
+        needed = int(offset) + int(np.prod(np.maximum(dimensions[1 : 1 + dimensions[0]], 1), dtype=np.int64)) * bits // 8
+        if content[344:347] == b"n+1" and len(content) < needed:
+            raise InputError(f"{path}: the file is truncated, it has {len(content)} bytes of {needed}.")
+    pixdim = np.array(struct.unpack(order + "4f", content[76:92]))[1:]
+    qform, sform = struct.unpack(order + "2h", content[252:256])
     used = [pixdim]
     if qform > 0:
-        used.append(np.array(struct.unpack(order + "6f", header[256:280])))
+        used.append(np.array(struct.unpack(order + "6f", content[256:280])))
     if sform > 0:
-        used.append(np.array(struct.unpack(order + "12f", header[280:328])))
+        used.append(np.array(struct.unpack(order + "12f", content[280:328])))
     if not all(np.isfinite(values).all() for values in used):
         raise InputError(f"{path}: the affine of the NIfTI header has a value that is not finite (NaN); correct the header.")
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from lacli.anatomy import clipping, paths
 from lacli.anatomy.image import Image
@@ -20,6 +19,7 @@ IntArray = NDArray[np.int64]
 
 SUFFIXES = (".vtp", ".vtk", ".stl", ".ply", ".obj", ".vtu")
 MANY_TRIANGLES = 400_000
+MANY_HOLES = 300
 OPENING_MM = 10.0  # rims at least this long are openings (veins, valve), shorter ones damage
 
 
@@ -114,21 +114,60 @@ def repair(points: FloatArray, triangles: IntArray) -> Repaired:
     points, triangles = _used(points, triangles)
     triangles, manifold = _orient(triangles, notes)
     rims: list[Rim] = []
-    if manifold:
-        loops = paths.loops(paths.open_edges(triangles)) if len(paths.open_edges(triangles)) else []
-        points, closed, rims = _cap(points, triangles, loops, notes)
-        surface = compact(Surface(points, closed, np.zeros(len(closed), dtype=np.int64)))
+    loops = paths.loops(paths.open_edges(triangles)) if manifold else []
+    if manifold and len(loops) <= MANY_HOLES:
+        points, triangles, rims, small = _cap(points, triangles, loops, notes)
+        surface = compact(Surface(points, triangles, np.zeros(len(triangles), dtype=np.int64)))
         if not defects(surface.triangles):
             if surface.volume_ml() < 0:
                 surface = Surface(surface.points, surface.triangles[:, ::-1].copy(), surface.label)
-                rims = [Rim(r.centre, -r.normal, r.length_mm) for r in rims]
                 notes.append("the surface was inside out and was turned")
             rims = [_outward(r, surface) for r in rims]
+            if small > 1:
+                surface = smoothed(surface)
+                notes.append("patches were smoothed into the surface (voxels of 0.5 mm)")
             return Repaired(surface, tuple(rims), tuple(notes), scale)
         points, triangles = surface.points, surface.triangles
     surface = from_voxels(points, triangles)
     notes.append("the triangles did not make a closed surface: it was rebuilt from voxels of 0.5 mm")
     return Repaired(surface, tuple(_outward(r, surface) for r in rims), tuple(notes), scale)
+
+
+def smoothed(surface: Surface, spacing_mm: float = 0.5) -> Surface:
+    """A closed surface anew from its voxels, of the same volume."""
+    from lacli.anatomy import extraction
+
+    field = voxels(surface, spacing_mm)
+    mask = field.with_array(field.array > 0.5)
+    again = extraction.surface_of(mask, sigma_mm=0.8, grid_mm=0.7)
+    grown = (surface.volume_ml() / again.volume_ml()) ** (1 / 3)
+    centre = again.points.mean(axis=0)
+    return Surface(centre + grown * (again.points - centre), again.triangles, again.label)
+
+
+def voxels(surface: Surface, spacing_mm: float) -> Image:
+    """1 inside a closed surface and 0 outside (float32), on an isotropic grid with a margin."""
+    import vtk
+    from vtk.util.numpy_support import vtk_to_numpy
+
+    from lacli.anatomy.pictures import polydata
+
+    margin = int(np.ceil(6.0 / spacing_mm))
+    low = surface.points.min(axis=0) - margin * spacing_mm
+    size = np.ceil(np.ptp(surface.points, axis=0) / spacing_mm).astype(int) + 2 * margin
+    stencil = vtk.vtkPolyDataToImageStencil()
+    stencil.SetInputData(polydata(surface))
+    stencil.SetOutputSpacing(spacing_mm, spacing_mm, spacing_mm)
+    stencil.SetOutputOrigin(*low)
+    stencil.SetOutputWholeExtent(0, int(size[0]) - 1, 0, int(size[1]) - 1, 0, int(size[2]) - 1)
+    paint = vtk.vtkImageStencilToImage()
+    paint.SetInputConnection(stencil.GetOutputPort())
+    paint.SetInsideValue(1)
+    paint.SetOutsideValue(0)
+    paint.SetOutputScalarTypeToUnsignedChar()
+    paint.Update()
+    array = vtk_to_numpy(paint.GetOutput().GetPointData().GetScalars()).reshape(size[::-1]).astype(np.float32)
+    return Image(array, np.full(3, spacing_mm), low, np.eye(3))
 
 
 def _used(points: FloatArray, triangles: IntArray) -> tuple[FloatArray, IntArray]:
@@ -239,12 +278,13 @@ def _orient(triangles: IntArray, notes: list[str]) -> tuple[IntArray, bool]:
 
 def _cap(
     points: FloatArray, triangles: IntArray, loops: list[IntArray], notes: list[str]
-) -> tuple[FloatArray, IntArray, list[Rim]]:
+) -> tuple[FloatArray, IntArray, list[Rim], int]:
+    """Caps over all loops; the long ones are openings, the number of short ones is returned."""
     rims, small = [], 0
-    all_triangles = [triangles]
+    everything = [triangles]
     for loop in loops:
         points, cap = clipping.fill_rim(points, loop, triangles)
-        all_triangles.append(cap)
+        everything.append(cap)
         length = paths.perimeter(points, loop)
         if length >= OPENING_MM:
             a, b, c = (points[cap[:, i]] for i in range(3))
@@ -256,7 +296,7 @@ def _cap(
         notes.append(f"{small} holes were filled")
     if rims:
         notes.append(f"{len(rims)} openings were found")
-    return points, np.vstack(all_triangles), sorted(rims, key=lambda r: -r.length_mm)
+    return points, np.vstack(everything), sorted(rims, key=lambda r: -r.length_mm), small
 
 
 def _outward(rim: Rim, surface: Surface) -> Rim:
@@ -311,8 +351,3 @@ def _sample(points: FloatArray, triangles: IntArray, step: float) -> FloatArray:
         s, t = i[keep] / max(n, 1), j[keep] / max(n, 1)
         out.append((a[mine][:, None] + s[:, None] * (b - a)[mine][:, None] + t[:, None] * (c - a)[mine][:, None]).reshape(-1, 3))
     return np.concatenate(out)
-
-
-def near_rim(rim: Rim, point: FloatArray) -> bool:
-    """Whether a point (a branch's tip) belongs to an opening."""
-    return bool(cKDTree(rim.centre[None]).query(point)[0] < rim.length_mm / np.pi)
