@@ -116,8 +116,15 @@ def _mark_phases(axes: Any, frame: pd.DataFrame) -> None:
     es = times[int(frame["volume_ml"].to_numpy().argmax())]
     for axis in axes:
         axis.axvline(es, color="0.4", linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)
+    late = es > times[0] + 0.8 * (times[-1] - times[0])
     axes[1].annotate(
-        "ES", (es, 0.04), xycoords=axes[1].get_xaxis_transform(), xytext=(3, 0), textcoords="offset points", color="0.3"
+        "ES",
+        (es, 0.06),
+        xycoords=axes[1].get_xaxis_transform(),
+        xytext=(-4 if late else 4, 0),
+        textcoords="offset points",
+        ha="right" if late else "left",
+        color="0.3",
     )
 
 
