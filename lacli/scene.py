@@ -132,15 +132,12 @@ class Numerics(_Frozen):
     """How it is solved. The defaults are what ``lacli tradeoff`` recommends on a laptop."""
 
     order: Literal[1, 2] = 2
-    quadrature: Literal["auto", "4", "14"] = "auto"
+    quadrature: Literal["4", "14"] = "4"
     kappa_points_kpa: NonNegative = 100.0
-    unloading: Literal["inverse", "backward"] = "inverse"
-    unloading_tolerance: Annotated[float, Field(gt=0, lt=0.1)] = 1e-3
-    engine: Literal["auto", "plugin", "script"] = "auto"
-    tolerance: Annotated[float, Field(gt=0, lt=1e-2)] = 1e-6
-    first_step: Annotated[float, Field(gt=0, le=1)] = 0.25
-    smallest_step: Annotated[float, Field(gt=0, lt=1)] = 1e-4
-    max_newton: Annotated[int, Field(ge=3, le=200)] = 14
+    unloading_volume_tolerance: Annotated[float, Field(gt=0, lt=0.2)] = 0.005
+    unloading_max_sweeps: Annotated[int, Field(ge=1, le=100)] = 15
+    tolerance_mm: Annotated[float, Field(gt=0, lt=0.1)] = 1e-4
+    max_newton: Annotated[int, Field(ge=5, le=500)] = 40
     timeout_s: Positive = 3600.0
 
 
@@ -163,6 +160,15 @@ class Scene(_Frozen):
     motion: MotionSettings = MotionSettings()
     numerics: Numerics = Numerics()
     outputs: Outputs = Outputs()
+
+    @model_validator(mode="after")
+    def _bulk(self) -> Scene:
+        if self.numerics.kappa_points_kpa >= self.materials.kappa_kpa:
+            raise ValueError(
+                f"numerics.kappa_points_kpa ({self.numerics.kappa_points_kpa:g}) must be below materials.kappa_kpa "
+                f"({self.materials.kappa_kpa:g}); the rest is carried by the pressure field"
+            )
+        return self
 
     @model_validator(mode="after")
     def _pressures(self) -> Scene:

@@ -1,0 +1,54 @@
+"""Renders the FreeFEM script of one scene."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from lacli import resources
+from lacli.mechanics.plan import Plan, describe
+from lacli.scene import Scene
+
+__all__ = ["describe", "render"]
+
+
+def _number(value: object) -> object:
+    """Numbers reach a deck in full precision and finite, names only from our own tables."""
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            raise ValueError("a number of the deck is not finite")
+        return repr(value)
+    return value
+
+
+def render(scene: Scene, plan: Plan, plugin: Path) -> str:
+    """The script as text; ``plugin`` is the compiled engine (without or with its ending .so)."""
+    name = str(plugin.with_suffix(""))
+    if not re.fullmatch(r"[A-Za-z0-9_./+ -]+", name):
+        raise ValueError(f"the plugin's path has characters that a FreeFEM string cannot hold: {name}")
+    environment = Environment(
+        loader=FileSystemLoader(resources.folder("templates")),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        finalize=_number,
+        autoescape=False,
+    )
+    numerics = scene.numerics
+    return environment.get_template("simulation.edp.j2").render(
+        plan=plan,
+        phases=plan.phases,
+        plugin=name,
+        order=numerics.order,
+        points=int(numerics.quadrature),
+        tolerance=numerics.tolerance_mm,
+        max_newton=numerics.max_newton,
+        volume_tolerance=numerics.unloading_volume_tolerance,
+        max_sweeps=numerics.unloading_max_sweeps,
+        vein_spring=scene.loads.vein_spring_kpa_per_mm,
+        pericardium=scene.pericardium.k_peri_kpa_per_mm,
+    )

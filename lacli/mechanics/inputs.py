@@ -1,0 +1,156 @@
+"""The files that a deck reads: parameter mesh, cells, materials, loaded faces, annulus. Lengths mm, stresses kPa."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from lacli.anatomy.bundle import EPI, PLANES, REGIONS, RINGS, Bundle
+from lacli.errors import AnatomyError
+from lacli.mechanics.plan import Plan
+from lacli.motion.annulus import Motion
+from lacli.scene import BODY_REGIONS, Materials, Pericardium, Scene
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+# VTK's 10-node cell -> FreeFEM's: middles of edges 01 02 03 12 13 23; triangle: of 12 20 01
+_CELL_ORDER = [0, 1, 2, 3, 4, 6, 7, 5, 8, 9]
+_FACE_ORDER = [0, 1, 2, 4, 5, 3]
+
+
+def as_order(bundle: Bundle, order: int) -> Bundle:
+    """The bundle with cells of that order: edge middles dropped for 1. Raises AnatomyError where they would be needed."""
+    if order == bundle.order:
+        return bundle
+    if order == 2:
+        raise AnatomyError("numerics.order is 2 but the bundle has 4-node cells: set numerics.order to 1, or mesh with order 2.")
+    used, local = np.unique(bundle.tets[:, :4], return_inverse=True)
+    new = np.full(len(bundle.points), -1, dtype=np.int64)
+    new[used] = np.arange(len(used))
+
+    def pick(values: FloatArray | None) -> FloatArray | None:
+        return None if values is None else values[used]
+
+    return Bundle(
+        points=bundle.points[used],
+        tets=local.reshape(-1, 4),
+        region=bundle.region,
+        triangles=new[bundle.triangles[:, :3]],
+        tags=bundle.tags,
+        fibre=bundle.fibre,
+        transmural=pick(bundle.transmural),
+        uac=pick(bundle.uac),
+        pericardium_coordinate=pick(bundle.pericardium_coordinate),
+        info=bundle.info,
+    )
+
+
+def corner_ids(bundle: Bundle, order: int) -> IntArray:
+    """Ids in ``bundle`` of the nodes of ``as_order(bundle, order)``."""
+    return np.arange(len(bundle.points)) if order == bundle.order else np.unique(bundle.tets[:, :4])
+
+
+def pericardium_weight(xi: FloatArray, settings: Pericardium) -> FloatArray:
+    """w = smoothstep((xi - (pth - ramp)) / ramp): 0 around the mitral valve, 1 on the roof."""
+    s = np.clip((xi - (settings.pth - settings.ramp)) / settings.ramp, 0.0, 1.0)
+    return s * s * (3.0 - 2.0 * s)
+
+
+def write_inputs(bundle: Bundle, scene: Scene, plan: Plan, motion: Motion | None, folder: Path) -> None:
+    """Write all files of one deck. ``bundle`` has the scene's order; the motion's points are ids of ``bundle``."""
+    quadratic = bundle.order == 2
+    _write_mesh(bundle, folder / "wall.mesh")
+    _write(folder / "cells.txt", bundle.tets[:, _CELL_ORDER] if quadratic else bundle.tets)
+    _write(folder / "points.txt", bundle.points.T)
+    _write(folder / "materials.txt", material_table(bundle, scene.materials, scene.numerics.kappa_points_kpa))
+    faces = bundle.triangles[:, _FACE_ORDER] if quadratic else bundle.triangles
+
+    def write_faces(name: str, keep: NDArray[np.bool_], weight: FloatArray) -> None:
+        _write(folder / name, faces[keep], weight)
+
+    cavity = (bundle.tags == 1) | np.isin(bundle.tags, list(PLANES.values()))
+    write_faces("pressure.txt", cavity, np.ones(3 * int(cavity.sum())))
+    if plan.vein_springs:
+        veins = np.isin(bundle.tags, [RINGS["rspv"], RINGS["ripv"]])
+        write_faces("veins.txt", veins, np.ones(3 * int(veins.sum())))
+    if plan.pericardium:
+        assert bundle.pericardium_coordinate is not None
+        epi = bundle.tags == EPI
+        weight = pericardium_weight(bundle.pericardium_coordinate, scene.pericardium)[bundle.triangles[:, :3]]
+        touched = epi & (weight > 0).any(axis=1)
+        write_faces("pericardium.txt", touched, weight[touched])
+    if plan.moving:
+        assert motion is not None
+        spline = annulus_spline(motion)
+        # (power, interval, node, coordinate) -> interval, power, coordinate, node
+        coefficients = np.moveaxis(spline.c, (0, 1, 2, 3), (1, 0, 3, 2))
+        _write(folder / "annulus.txt", motion.wall_point, spline.x, coefficients)
+    else:
+        _write(folder / "held.txt", np.unique(bundle.triangles[bundle.tags == RINGS["mv"]]))
+
+
+def annulus_spline(motion: Motion) -> CubicSpline:
+    """Cubic spline over one cycle through the frames, periodic: time -> (n, 3) mm."""
+    times = np.append(motion.times, 1.0)
+    positions = np.concatenate([motion.positions, motion.positions[:1]])
+    return CubicSpline(times, positions, axis=0, bc_type="periodic")
+
+
+def material_table(bundle: Bundle, materials: Materials, kappa_points_kpa: float) -> FloatArray:
+    """(m, 12): law, C, alpha, bf, bft, bt, kappa at the points and on the pressure field, fibre, stabilisation (1/kPa)."""
+    table = np.zeros((len(bundle.tets), 12))
+    body = np.isin(bundle.region, list(REGIONS.values()))
+    stiff = (bundle.region == RINGS["mv"]) | np.isin(bundle.region, list(PLANES.values()))
+    guccione = body & (materials.law == "guccione")
+    table[:, 0] = ~guccione
+    table[:, 1] = np.where(stiff, materials.plane_c_kpa, materials.ring_c_kpa)
+    table[:, 2] = 1.0
+    for name in BODY_REGIONS:
+        here = bundle.region == REGIONS[name]
+        table[here, 1] = getattr(materials.c_kpa, name)
+        table[here, 2] = getattr(materials.alpha, name)
+    table[:, 3:6] = materials.bf, materials.bft, materials.bt
+    table[:, 6] = kappa_points_kpa
+    table[:, 7] = materials.kappa_kpa - kappa_points_kpa
+    if bundle.fibre is not None:
+        table[:, 8:11] = bundle.fibre
+    elif guccione.any() and not materials.bf == materials.bft == materials.bt:
+        raise AnatomyError("The bundle has no fibres (cell array 'fibre' of wall.vtu); the anisotropic law needs them.")
+    if bundle.order == 1:
+        # 1 / (2 mu) of the law at rest steadies equal-order pressures
+        mean_b = (materials.bf + materials.bft + materials.bt) / 3.0
+        table[:, 11] = np.where(guccione, 1.0 / (table[:, 1] * table[:, 2] * mean_b), 1.0 / (4.0 * table[:, 1]))
+    return table
+
+
+def _write_mesh(bundle: Bundle, file: Path) -> None:
+    """FreeFEM's own text format (medit): straight cells with the region, boundary triangles with the tag."""
+    used = np.unique(bundle.tets[:, :4])
+    number = np.zeros(len(bundle.points), dtype=np.int64)
+    number[used] = np.arange(1, len(used) + 1)
+    with file.open("w", encoding="ascii") as out:
+        out.write(f"MeshVersionFormatted 2\nDimension 3\nVertices\n{len(used)}\n")
+        np.savetxt(out, np.column_stack([bundle.points[used], np.zeros(len(used))]), fmt="%.17g %.17g %.17g %d")
+        out.write(f"Tetrahedra\n{len(bundle.tets)}\n")
+        np.savetxt(out, np.column_stack([number[bundle.tets[:, :4]], bundle.region]), fmt="%d")
+        out.write(f"Triangles\n{len(bundle.triangles)}\n")
+        np.savetxt(out, np.column_stack([number[bundle.triangles[:, :3]], bundle.tags]), fmt="%d")
+        out.write("End\n")
+
+
+def _write(file: Path, *arrays: FloatArray | IntArray) -> None:
+    with file.open("w", encoding="ascii") as out:
+        for array in arrays:
+            _write_array(out, np.asarray(array).ravel())
+
+
+def _write_array(out: TextIO, values: NDArray[np.generic]) -> None:
+    if values.dtype.kind == "f" and not np.isfinite(values.astype(np.float64)).all():
+        raise AnatomyError("A number that goes into the simulation is not finite; check fibres and coordinates of the bundle.")
+    out.write(f"{len(values)}\n{len(values)}\n")
+    np.savetxt(out, values, fmt="%d" if values.dtype.kind in "iu" else "%.17g")

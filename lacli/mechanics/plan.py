@@ -1,0 +1,150 @@
+"""What of a scene is modelled: only the terms it asks for, and why."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lacli.anatomy.bundle import EPI, REGIONS, RINGS, Bundle
+from lacli.errors import AnatomyError
+from lacli.motion.annulus import Motion
+from lacli.scene import Scene
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A stretch of the load: pressures in kPa, times as shares of the cycle; ``file`` names the state at its end."""
+
+    name: str
+    file: str
+    pressure_from: float
+    pressure_to: float
+    time_from: float
+    time_to: float
+    first_step: float
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Which terms the deck contains, and its phases in order."""
+
+    title: str
+    unloading: bool
+    moving: bool
+    vein_springs: bool
+    pericardium: bool
+    outward_only: bool
+    fibres: bool
+    phases: tuple[Phase, ...]
+
+
+def make_plan(scene: Scene, bundle: Bundle, motion: Motion | None) -> Plan:
+    """Decide what is modelled. Raises AnatomyError where the bundle lacks what the scene asks for."""
+    where = scene.anatomy.bundle
+    if not (bundle.tags == RINGS["mv"]).any():
+        raise AnatomyError(
+            f"{where}: no boundary triangle has tag {RINGS['mv']}, the mitral ring; nothing would hold the atrium."
+        )
+    if not np.isin(bundle.region, list(REGIONS.values())).any():
+        raise AnatomyError(f"{where}: no cell has a region of the body ({', '.join(REGIONS)}).")
+    veins = scene.loads.vein_spring_kpa_per_um > 0
+    if veins and not np.isin(bundle.tags, [RINGS["rspv"], RINGS["ripv"]]).any():
+        raise AnatomyError(
+            f"{where}: the scene has springs on the right veins, but no boundary triangle has tag {RINGS['rspv']} or "
+            f"{RINGS['ripv']}. Set loads.vein_spring_kpa_per_um to 0, or tag them."
+        )
+    pericardium = scene.pericardium.k_peri_kpa_per_um > 0
+    if pericardium and (bundle.pericardium_coordinate is None or not (bundle.tags == EPI).any()):
+        raise AnatomyError(
+            f"{where}: the scene has a pericardium, but the bundle has no 'pericardium_coordinate' or no epicardium (tag {EPI}). "
+            "Set pericardium.k_peri_kpa_per_um to 0, or mesh again."
+        )
+    moving = motion is not None
+    return Plan(
+        title=_title(scene, moving, veins, pericardium),
+        unloading=scene.loads.edp_mmhg > 0,
+        moving=moving,
+        vein_springs=veins,
+        pericardium=pericardium,
+        outward_only=scene.pericardium.outward_only,
+        fibres=scene.materials.law == "guccione",
+        phases=_phases(scene, motion),
+    )
+
+
+def _title(scene: Scene, moving: bool, veins: bool, pericardium: bool) -> str:
+    parts = [f"pressure {scene.loads.edp_mmhg:g} to {scene.loads.esp_mmhg:g} mmHg", scene.materials.law.replace("_", "-")]
+    parts += ["annulus moves"] if moving else ["annulus held"]
+    parts += ["vein springs"] if veins else []
+    parts += ["pericardium"] if pericardium else []
+    return ", ".join(parts)
+
+
+def es_time(scene: Scene, motion: Motion | None) -> float:
+    """Time of end-systole, the bundle's own where its motion is used."""
+    return motion.es_time if motion is not None else scene.motion.es_time
+
+
+def pressure_kpa(scene: Scene, motion: Motion | None, time: float) -> float:
+    """Idealised transient: EDP -> ESP linearly up to end-systole, back over half of what is left, then constant; or the
+    scene's own ``transient_mmhg``, scaled by nothing."""
+    from lacli.scene import MMHG_KPA
+
+    given = scene.loads.transient_mmhg
+    if given is not None:
+        times, values = np.array(given).T
+        return float(np.interp(time, times, values)) * MMHG_KPA
+    es = es_time(scene, motion)
+    low, high = scene.loads.edp_kpa, scene.loads.esp_kpa
+    return float(np.interp(time, [0.0, es, es + 0.5 * (1.0 - es), 1.0], [low, high, low, low]))
+
+
+def _phases(scene: Scene, motion: Motion | None) -> tuple[Phase, ...]:
+    es = es_time(scene, motion)
+    phases = []
+    if scene.loads.edp_mmhg > 0:
+        phases.append(Phase("load", "ed", 0.0, scene.loads.edp_kpa, 0.0, 0.0, 1.0))
+    count = max(1, scene.outputs.frames)
+    times = list(np.linspace(0.0, es, count + 1))
+    if scene.outputs.conduit:
+        times += list(np.linspace(es, 1.0, max(4, count) + 1)[1:])
+    for index, (start, end) in enumerate(zip(times[:-1], times[1:], strict=True)):
+        reservoir = end <= es + 1e-12
+        phases.append(
+            Phase(
+                name="reservoir" if reservoir else "conduit",
+                file="es" if abs(end - es) < 1e-12 else f"frame{index + 1:03d}",
+                pressure_from=pressure_kpa(scene, motion, float(start)),
+                pressure_to=pressure_kpa(scene, motion, float(end)),
+                time_from=float(start),
+                time_to=float(end),
+                first_step=0.5 if count == 1 else 1.0,
+            )
+        )
+    return tuple(phases)
+
+
+def describe(scene: Scene, bundle: Bundle) -> list[tuple[str, bool, str]]:
+    """(term, included, why) of every term that a scene can have."""
+    from lacli.mechanics.simulation import scene_motion
+
+    motion = scene_motion(scene, bundle)
+    plan = make_plan(scene, bundle, motion)
+    materials, loads = scene.materials, scene.loads
+    regional = not (materials.c_kpa.uniform and materials.alpha.uniform)
+    return [
+        ("wall", True, f"{materials.law.replace('_', '-')}, P{scene.numerics.order} displacements, P1 pressure"),
+        ("regional stiffness", regional, "the regions differ" if regional else "one stiffness everywhere"),
+        ("unloading", plan.unloading, f"EDP is {loads.edp_mmhg:g} mmHg" if plan.unloading else "EDP is 0: the image is unloaded"),
+        ("mitral motion", plan.moving, f"motion.annulus is {scene.motion.annulus!r}"),
+        ("vein springs", plan.vein_springs, f"{loads.vein_spring_kpa_per_um:g} kPa/um on the right veins"),
+        (
+            "pericardium",
+            plan.pericardium,
+            f"k_peri is {scene.pericardium.k_peri_kpa_per_um:g} kPa/um, PTH {scene.pericardium.pth:g}",
+        ),
+        ("outward only", plan.pericardium and plan.outward_only, "pericardium.outward_only"),
+        ("transient", scene.outputs.frames > 1, f"outputs.frames is {scene.outputs.frames}"),
+        ("conduit", scene.outputs.conduit, "outputs.conduit"),
+    ]

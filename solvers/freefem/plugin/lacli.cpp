@@ -1,0 +1,320 @@
+// FreeFEM plugin: assembles residual and tangent of the wall and its boundary, factorises and solves.
+// The script owns the loads, the steps and the decisions; this file owns the loops over cells.
+// link: -ldmumps_seq -lmpiseq_seq
+#include <cstdint>
+#include <iostream>
+#include <limits>
+
+#include "ff++.hpp"
+#include "AFunction_ext.hpp"
+
+#include "elements.hpp"
+#include "system.hpp"
+
+using namespace lacli;
+
+namespace {
+
+struct Faces {
+  Surface kind;
+  std::vector<int> nodes;                    // 6 (or 3) per triangle
+  std::vector<double> weight;                // 3 per triangle
+  std::vector<int> blocks;                   // lower-triangular pairs of each triangle
+};
+
+struct Problem {
+  int nU = 0, nP = 0, nt = 0, nn = 0;
+  TetRule rule;
+  TriRule face;
+  std::vector<int> nodes, pressures;         // per cell: nn nodes, 4 pressure unknowns
+  std::vector<int> blocks;                   // per cell: nn (nn + 1) / 2
+  std::vector<CellData> cells;
+  std::vector<double> fibres;                // per cell and point, on the parameter cell
+  std::vector<Faces> faces;
+  std::vector<double> stretch;               // per cell: logarithm of the fictitious in-plane stretch, the wall's normal (3)
+  double viscosity = 0;                      // kPa/mm2
+  double stretched = 0;                      // its share in force, 0 to 1
+  double loads[4] = {0, 0, 0, 0};            // by Surface
+  System system;
+  Mumps mumps;
+  int ordering = 7;
+  double minJ = 0, minJX = 0, energy = 0, volume = 0;
+  int negative = 0;
+};
+
+Problem *the = nullptr;
+
+std::vector<int> ints(const KN<long> &a) {
+  std::vector<int> r(a.N());
+  for (long i = 0; i < a.N(); ++i) r[i] = (int)a[i];
+  return r;
+}
+
+// laMesh([nU, nP, cells, nodes per cell, points, ordering], nodes of cells, pressure unknowns of cells)
+long laMesh(KN<long> *const &sizes, KN<long> *const &nodes, KN<long> *const &pressures) {
+  delete the;
+  the = new Problem;
+  Problem &P = *the;
+  P.nU = (int)(*sizes)[0], P.nP = (int)(*sizes)[1], P.nt = (int)(*sizes)[2], P.nn = (int)(*sizes)[3];
+  P.ordering = (int)(*sizes)[5];
+  P.rule = tet_rule(P.nn, (int)(*sizes)[4]);
+  P.face = tri_rule(P.nn == 10 ? 6 : 3);
+  P.nodes = ints(*nodes), P.pressures = ints(*pressures);
+  ffassert((int)P.nodes.size() == P.nt * P.nn && (int)P.pressures.size() == P.nt * 4);
+  std::vector<int> pressureOf(P.nU, -1);
+  for (int k = 0; k < P.nt; ++k)
+    for (int c = 0; c < 4; ++c) pressureOf[P.nodes[k * P.nn + c]] = P.pressures[4 * k + c];
+  std::vector<uint64_t> keys;
+  keys.reserve((size_t)P.nt * P.nn * (P.nn + 1) / 2);
+  for (int k = 0; k < P.nt; ++k)
+    for (int a = 0; a < P.nn; ++a)
+      for (int b = 0; b <= a; ++b) {
+        const uint64_t i = P.nodes[k * P.nn + a], j = P.nodes[k * P.nn + b];
+        keys.push_back(i >= j ? i << 32 | j : j << 32 | i);
+      }
+  P.system.pattern(P.nU, P.nP, pressureOf, keys);
+  P.blocks.reserve((size_t)P.nt * P.nn * (P.nn + 1) / 2);
+  for (int k = 0; k < P.nt; ++k)
+    for (int a = 0; a < P.nn; ++a)
+      for (int b = 0; b <= a; ++b) {
+        const int i = P.nodes[k * P.nn + a], j = P.nodes[k * P.nn + b];
+        P.blocks.push_back(P.system.block(std::max(i, j), std::min(i, j)));
+      }
+  return P.system.n;
+}
+
+const int CELL_COLUMNS = 12;
+
+// laCells(per cell: law, C, alpha, bf, bft, bt, kappa at points, kappa on the field, fibre (3), stabilisation; X of the image)
+long laCells(KN<double> *const &table, KN<double> *const &image) {
+  Problem &P = *the;
+  ffassert(table->N() == (long)P.nt * CELL_COLUMNS && image->N() == 3L * P.nU);
+  P.cells.resize(P.nt);
+  P.fibres.assign((size_t)P.nt * P.rule.n * 3, 0.0);
+  for (int k = 0; k < P.nt; ++k) {
+    double v[CELL_COLUMNS];
+    for (int j = 0; j < CELL_COLUMNS; ++j) v[j] = (*table)[(long)k * CELL_COLUMNS + j];
+    P.cells[k] = {{(int)v[0], v[1], v[2], v[3] - 2 * v[4] + v[5], v[4] - v[5], v[5], v[6], v[7]}, v[11]};
+    for (int q = 0; q < P.rule.n; ++q) {
+      const double *dN = &P.rule.dN[(size_t)q * P.nn * 3];
+      Mat H = {}, Hi;
+      for (int a = 0; a < P.nn; ++a)
+        for (int i = 0; i < 3; ++i)
+          for (int m = 0; m < 3; ++m) H[i][m] += (*image)[(long)i * P.nU + P.nodes[k * P.nn + a]] * dN[3 * a + m];
+      const double d = det(H);
+      if (!(d > 0)) return k + 1;            // the image's own cell is inverted
+      inverse(H, d, Hi);
+      for (int i = 0; i < 3; ++i)
+        P.fibres[((size_t)k * P.rule.n + q) * 3 + i] = Hi[i][0] * v[8] + Hi[i][1] * v[9] + Hi[i][2] * v[10];
+    }
+  }
+  return 0;
+}
+
+// laStretch(share in force; per cell: logarithm of the in-plane stretch, normal (3); empty: keep the former)
+long laStretch(double const &share, KN<double> *const &table) {
+  Problem &P = *the;
+  P.stretched = share;
+  if (table->N() > 0) {
+    ffassert(table->N() == 4L * P.nt);
+    P.stretch.resize(table->N());
+    for (long i = 0; i < table->N(); ++i) P.stretch[i] = (*table)[i];
+  }
+  return 0;
+}
+
+// laViscosity(kPa/mm2): damps the steps of the next tangents
+long laViscosity(double const &viscosity) {
+  the->viscosity = viscosity;
+  return 0;
+}
+
+// laFaces(kind, nodes of triangles, weights of their vertices)
+long laFaces(long const &kind, KN<long> *const &nodes, KN<double> *const &weight) {
+  Problem &P = *the;
+  Faces f;
+  f.kind = (Surface)kind, f.nodes = ints(*nodes);
+  f.weight.resize(weight->N());
+  for (long i = 0; i < weight->N(); ++i) f.weight[i] = (*weight)[i];
+  const int m = P.face.nodes;
+  ffassert(f.nodes.size() / m == f.weight.size() / 3);
+  for (size_t k = 0; k < f.nodes.size() / m; ++k)
+    for (int a = 0; a < m; ++a)
+      for (int b = 0; b <= a; ++b) {
+        const int i = f.nodes[k * m + a], j = f.nodes[k * m + b];
+        const int at = P.system.block(std::max(i, j), std::min(i, j));
+        if (at < 0) return (long)k + 1;      // not a face of any cell
+        f.blocks.push_back(at);
+      }
+  P.faces.push_back(f);
+  return 0;
+}
+
+// laFixed(per unknown: 1 held, 0 free)
+long laFixed(KN<long> *const &flags) {
+  for (int i = 0; i < the->system.n; ++i) the->system.fixed[i] = (char)((*flags)[i] != 0);
+  return 0;
+}
+
+// laLoads(pressure kPa, vein springs kPa/mm, pericardium kPa/mm)
+long laLoads(double const &pressure, double const &veins, double const &pericardium) {
+  the->loads[PRESSURE] = pressure, the->loads[VEIN_SPRING] = veins;
+  the->loads[PERICARDIUM] = the->loads[PERICARDIUM_OUTWARD] = pericardium;
+  return 0;
+}
+
+template <int STRIDE>
+void scatter(System &s, int block, int na, int nb, const double *K, int la, int lb, bool sym) {
+  // local nodes la, lb stand at na, nb; the block's rows belong to the larger node
+  const bool turned = na < nb;
+  const int a = turned ? nb : na, b = turned ? na : nb, ka = turned ? lb : la, kb = turned ? la : lb;
+  const int width = STRIDE == LOCAL ? 4 : 3, lda = STRIDE;
+  const int wa = std::min(width, s.width(a)), wb = std::min(width, s.width(b)), stride = s.width(b);
+  double *lo = &s.lower[s.start[block]], *up = sym ? nullptr : &s.upper[s.start[block]];
+  for (int i = 0; i < wa; ++i)
+    for (int j = 0; j < wb; ++j) {
+      lo[i * stride + j] += K[(width * ka + i) * lda + width * kb + j];
+      if (!sym && a != b) up[i * stride + j] += K[(width * kb + j) * lda + width * ka + i];
+    }
+}
+
+// laAssemble(task, y, X, R): task 0 residual, 1 and symmetric tangent, 2 and unsymmetric tangent, 3 and inverse tangent.
+// y = (x | y | z | p) deformed positions and pressures, X = (X | Y | Z). 0, or 1 where a cell is inverted or too far strained.
+long laAssemble(long const &mode, KN<double> *const &y, KN<double> *const &reference, KN<double> *const &residual) {
+  Problem &P = *the;
+  System &s = P.system;
+  const Task task = mode == 0 ? Task::residual : mode == 3 ? Task::inverse : Task::forward;
+  const bool sym = mode == 1;
+  if (task != Task::residual) s.clear(sym);
+  KN<double> &R = *residual;
+  R = 0.0;
+  P.minJ = P.minJX = 1e300, P.energy = P.volume = 0;
+  static CellSums c;
+  const int nn = P.nn, nb = nn * (nn + 1) / 2;
+  double X[10][3], x[10][3], p[4];
+  for (int k = 0; k < P.nt; ++k) {
+    const int *node = &P.nodes[k * nn];
+    for (int a = 0; a < nn; ++a)
+      for (int i = 0; i < 3; ++i) {
+        X[a][i] = (*reference)[(long)i * P.nU + node[a]];
+        x[a][i] = (*y)[(long)i * P.nU + node[a]];
+      }
+    for (int i = 0; i < 4; ++i) p[i] = (*y)[3L * P.nU + P.pressures[4 * k + i]];
+    Mat G = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
+    if (P.stretched != 0) {
+      const double *v = &P.stretch[4 * (size_t)k], in = std::exp(P.stretched * v[0]), across = 1 / (in * in);
+      for (int i = 0; i < 3; ++i)
+        for (int j = 0; j < 3; ++j) G[i][j] = (i == j ? in : 0.0) + (across - in) * v[1 + i] * v[1 + j];
+    }
+    const bool fine = cell_integral(P.rule, P.cells[k], X, x, p, &P.fibres[(size_t)k * P.rule.n * 3], G, P.viscosity, task, c);
+    P.minJ = std::min(P.minJ, c.minJ), P.minJX = std::min(P.minJX, c.minJX);
+    if (!fine) return 1;
+    P.energy += c.energy;
+    for (int a = 0; a < nn; ++a)
+      for (int i = 0; i < 3; ++i) R[(long)i * P.nU + node[a]] += c.R[4 * a + i];
+    for (int i = 0; i < 4; ++i) R[3L * P.nU + P.pressures[4 * k + i]] += c.R[4 * i + 3];
+    if (task == Task::residual) continue;
+    const int *block = &P.blocks[(size_t)k * nb];
+    for (int a = 0; a < nn; ++a)
+      for (int b = 0; b <= a; ++b) scatter<LOCAL>(s, *block++, node[a], node[b], &c.K[0][0], a, b, sym);
+  }
+  static FaceSums f;
+  const int m = P.face.nodes;
+  for (const Faces &set : P.faces) {
+    const double value = P.loads[set.kind];
+    for (size_t k = 0; k < set.nodes.size() / m; ++k) {
+      const int *node = &set.nodes[k * m];
+      for (int a = 0; a < m; ++a)
+        for (int i = 0; i < 3; ++i) {
+          X[a][i] = (*reference)[(long)i * P.nU + node[a]];
+          x[a][i] = (*y)[(long)i * P.nU + node[a]];
+        }
+      face_integral(P.face, set.kind, value, &set.weight[3 * k], X, x, task, f);
+      P.energy += f.energy, P.volume += f.volume;
+      for (int a = 0; a < m; ++a)
+        for (int i = 0; i < 3; ++i) R[(long)i * P.nU + node[a]] += f.R[3 * a + i];
+      if (task == Task::residual || (set.kind == PRESSURE && task == Task::inverse)) continue;
+      if (sym)                               // over a closed or rim-fixed cavity the halves that do not match cancel
+        for (int i = 0; i < 3 * m; ++i)
+          for (int j = 0; j < i; ++j) f.K[i][j] = f.K[j][i] = 0.5 * (f.K[i][j] + f.K[j][i]);
+      const int *block = &set.blocks[k * m * (m + 1) / 2];
+      for (int a = 0; a < m; ++a)
+        for (int b = 0; b <= a; ++b) scatter<18>(s, *block++, node[a], node[b], &f.K[0][0], a, b, sym);
+    }
+  }
+  for (long i = 0; i < R.N(); ++i)
+    if (!std::isfinite(R[i])) return 1;
+  return 0;
+}
+
+// laFactor(): 0, or MUMPS's error number
+long laFactor() {
+  Problem &P = *the;
+  return P.mumps.factor(P.system, P.ordering, P.negative);
+}
+
+// laSolve(b, x): K x = b on the free unknowns with the last factors, x = 0 on the held ones
+long laSolve(KN<double> *const &b, KN<double> *const &x) {
+  Problem &P = *the;
+  const long error = P.mumps.solve(P.system, &(*b)[0], &(*x)[0]);
+  for (int i = 0; i < P.system.n; ++i)
+    if (P.system.fixed[i]) (*x)[i] = 0.0;
+    else if (!std::isfinite((*x)[i])) return -99;
+  return error;
+}
+
+// laMultiply(v, y): y = K v with the last tangent, held unknowns included
+long laMultiply(KN<double> *const &v, KN<double> *const &y) {
+  the->system.multiply(&(*v)[0], &(*y)[0]);
+  return 0;
+}
+
+// laState([min J, min det X, energy kPa mm3, cavity volume mm3, negative pivots])
+long laState(KN<double> *const &out) {
+  Problem &P = *the;
+  const double v[5] = {P.minJ, P.minJX, P.energy, P.volume, (double)P.negative};
+  for (int i = 0; i < 5 && i < out->N(); ++i) (*out)[i] = v[i];
+  return 0;
+}
+
+// laLaw(material of laCells' first eight columns and f; (F row by row, p); out: W, P (9), A (81), dP/df (27)): 0 or 1
+long laLaw(KN<double> *const &material, KN<double> *const &state, KN<double> *const &out) {
+  const KN<double> &v = *material;
+  const Material m = {(int)v[0], v[1], v[2], v[3] - 2 * v[4] + v[5], v[4] - v[5], v[5], v[6], v[7]};
+  Mat F;
+  for (int i = 0; i < 9; ++i) F[i / 3][i % 3] = (*state)[i];
+  const double f[3] = {v[8], v[9], v[10]};
+  Response r;
+  if (!respond(m, F, f, (*state)[9], 2, r)) return 1;
+  KN<double> &o = *out;
+  o.resize(1 + 9 + 81 + 27);
+  o[0] = r.energy;
+  for (int i = 0; i < 9; ++i) {
+    o[1 + i] = r.P[i / 3][i % 3];
+    for (int j = 0; j < 9; ++j) o[10 + 9 * i + j] = r.A[i][j];
+    for (int j = 0; j < 3; ++j) o[91 + 3 * i + j] = r.dPdf[i][j];
+  }
+  return 0;
+}
+
+}  // namespace
+
+static void Load_Init() {
+  int argc = 0;
+  char **argv = nullptr;
+  MPI_Init(&argc, &argv);
+  Global.Add("laMesh", "(", new OneOperator3_<long, KN<long> *, KN<long> *, KN<long> *>(laMesh));
+  Global.Add("laCells", "(", new OneOperator2_<long, KN<double> *, KN<double> *>(laCells));
+  Global.Add("laStretch", "(", new OneOperator2_<long, double, KN<double> *>(laStretch));
+  Global.Add("laViscosity", "(", new OneOperator1_<long, double>(laViscosity));
+  Global.Add("laFaces", "(", new OneOperator3_<long, long, KN<long> *, KN<double> *>(laFaces));
+  Global.Add("laFixed", "(", new OneOperator1_<long, KN<long> *>(laFixed));
+  Global.Add("laLoads", "(", new OneOperator3_<long, double, double, double>(laLoads));
+  Global.Add("laAssemble", "(", new OneOperator4_<long, long, KN<double> *, KN<double> *, KN<double> *>(laAssemble));
+  Global.Add("laFactor", "(", new OneOperator0<long>(laFactor));
+  Global.Add("laSolve", "(", new OneOperator2_<long, KN<double> *, KN<double> *>(laSolve));
+  Global.Add("laMultiply", "(", new OneOperator2_<long, KN<double> *, KN<double> *>(laMultiply));
+  Global.Add("laState", "(", new OneOperator1_<long, KN<double> *>(laState));
+  Global.Add("laLaw", "(", new OneOperator3_<long, KN<double> *, KN<double> *, KN<double> *>(laLaw));
+}
+LOADFUNC(Load_Init)
