@@ -48,7 +48,7 @@ def test_a_folder_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
 
 
 def test_images_come_with_it(tmp_path: Path) -> None:
-    options = ["--cell-size-mm", "8", "--volume-ml", "50", "--image", "--voxel-mm", "1.5", "--json"]
+    options = ["--cell-size-mm", "8", "--volume-ml", "50", "--image", "--voxel-mm", "2.5", "--json"]
     (row,) = json.loads(run(str(tmp_path / "a"), *options))
     labels, ct = (read(tmp_path / "a" / f"{name}.nrrd") for name in ("labels", "ct"))
     assert labels.array.shape == ct.array.shape
