@@ -19,8 +19,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 # VTK's 10-node cell -> FreeFEM's: middles of edges 01 02 03 12 13 23; triangle: of 12 20 01
-_CELL_ORDER = [0, 1, 2, 3, 4, 6, 7, 5, 8, 9]
-_FACE_ORDER = [0, 1, 2, 4, 5, 3]
+CELL_ORDER = [0, 1, 2, 3, 4, 6, 7, 5, 8, 9]
+FACE_ORDER = [0, 1, 2, 4, 5, 3]
 
 
 def as_order(bundle: Bundle, order: int) -> Bundle:
@@ -64,14 +64,14 @@ def pericardium_weight(xi: FloatArray, settings: Pericardium) -> FloatArray:
 def write_inputs(bundle: Bundle, scene: Scene, plan: Plan, motion: Motion | None, folder: Path) -> None:
     """Write all files of one deck. ``bundle`` has the scene's order; the motion's points are ids of ``bundle``."""
     quadratic = bundle.order == 2
-    _write_mesh(bundle, folder / "wall.mesh")
-    _write(folder / "cells.txt", bundle.tets[:, _CELL_ORDER] if quadratic else bundle.tets)
-    _write(folder / "points.txt", bundle.points.T)
-    _write(folder / "materials.txt", material_table(bundle, scene.materials, scene.numerics.kappa_points_kpa))
-    faces = bundle.triangles[:, _FACE_ORDER] if quadratic else bundle.triangles
+    write_mesh(bundle, folder / "wall.mesh")
+    write_arrays(folder / "cells.txt", bundle.tets[:, CELL_ORDER] if quadratic else bundle.tets)
+    write_arrays(folder / "points.txt", bundle.points.T)
+    write_arrays(folder / "materials.txt", material_table(bundle, scene.materials, scene.numerics.kappa_points_kpa))
+    faces = bundle.triangles[:, FACE_ORDER] if quadratic else bundle.triangles
 
     def write_faces(name: str, keep: NDArray[np.bool_], weight: FloatArray) -> None:
-        _write(folder / name, faces[keep], weight)
+        write_arrays(folder / name, faces[keep], weight)
 
     cavity = (bundle.tags == 1) | np.isin(bundle.tags, list(PLANES.values()))
     write_faces("pressure.txt", cavity, np.ones(3 * int(cavity.sum())))
@@ -89,9 +89,9 @@ def write_inputs(bundle: Bundle, scene: Scene, plan: Plan, motion: Motion | None
         spline = annulus_spline(motion)
         # (power, interval, node, coordinate) -> interval, power, coordinate, node
         coefficients = np.moveaxis(spline.c, (0, 1, 2, 3), (1, 0, 3, 2))
-        _write(folder / "annulus.txt", motion.wall_point, spline.x, coefficients)
+        write_arrays(folder / "annulus.txt", motion.wall_point, spline.x, coefficients)
     else:
-        _write(folder / "held.txt", np.unique(bundle.triangles[bundle.tags == RINGS["mv"]]))
+        write_arrays(folder / "held.txt", np.unique(bundle.triangles[bundle.tags == RINGS["mv"]]))
 
 
 def annulus_spline(motion: Motion) -> CubicSpline:
@@ -128,7 +128,7 @@ def material_table(bundle: Bundle, materials: Materials, kappa_points_kpa: float
     return table
 
 
-def _write_mesh(bundle: Bundle, file: Path) -> None:
+def write_mesh(bundle: Bundle, file: Path) -> None:
     """FreeFEM's own text format (medit): straight cells with the region, boundary triangles with the tag."""
     used = np.unique(bundle.tets[:, :4])
     number = np.zeros(len(bundle.points), dtype=np.int64)
@@ -143,7 +143,8 @@ def _write_mesh(bundle: Bundle, file: Path) -> None:
         out.write("End\n")
 
 
-def _write(file: Path, *arrays: FloatArray | IntArray) -> None:
+def write_arrays(file: Path, *arrays: FloatArray | IntArray) -> None:
+    """Each array as FreeFEM reads it: its length twice, then its values in C order, one a line."""
     with file.open("w", encoding="ascii") as out:
         for array in arrays:
             _write_array(out, np.asarray(array).ravel())
