@@ -23,6 +23,7 @@ from lacli.errors import AnatomyError
 FloatArray = NDArray[np.float64]
 Say = Callable[[str], None]
 LEAST_WALL_MM = 1.0
+LEAST_VALVE_MM = 50.0  # rim length
 RIM_INSET_MM = 1.0  # an uneven rim is cut flat this far inside
 
 
@@ -106,20 +107,22 @@ def from_surface(
     repaired: Repaired, options: Options, given: Landmarks | None = None, axes: Axes | None = None, say: Say = print
 ) -> Built:
     """Bundle from a repaired surface; ``axes`` None: left and right are told from the shape."""
-    openings = openings_of_rims(repaired, options.ring_width_mm)
+    openings = openings_of_rims(repaired)
     return _from_closed(repaired.surface, openings, axes, options, given, say, list(repaired.notes), None)
 
 
-def openings_of_rims(repaired: Repaired, ring_mm: float) -> list[Opening]:
-    """The openings that an open surface came with, as cuts just inside their rims, the longest first."""
-    del ring_mm
-    found = []
-    for rim in repaired.rims:
-        centre = rim.centre - RIM_INSET_MM * rim.normal
-        found.append(
-            Opening("", centre, rim.normal, rim.centre + 0.5 * rim.normal, rim.length_mm / np.pi, 0.9, "opening of the surface")
-        )
-    return found
+def openings_of_rims(repaired: Repaired) -> list[Opening]:
+    """The openings that an open surface came with, as cuts just inside their rims, the longest first.
+
+    Where the longest is not as long as a valve's, all are damage. Five or six are valve, veins and appendage; of fewer only the
+    valve is taken, the vessels are found from the shape.
+    """
+    rims = list(repaired.rims) if repaired.rims and repaired.rims[0].length_mm >= LEAST_VALVE_MM else []
+    rims = rims[:6] if len(rims) >= 5 else rims[:1]
+    return [
+        Opening("", r.centre - RIM_INSET_MM * r.normal, r.normal, r.centre + 0.5 * r.normal, r.length_mm / np.pi, 0.9, "opening of the surface")
+        for r in rims
+    ]
 
 
 def lv_contact(labels: Image, lv: int, surface: Surface) -> FloatArray | None:

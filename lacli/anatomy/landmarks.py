@@ -329,3 +329,18 @@ def override(found: Landmarks, given: Landmarks | None) -> Landmarks:
     if given is None:
         return found
     return Landmarks({**found.openings, **given.openings}, {**found.sides, **given.sides}, found.notes)
+
+
+def inner_ostium(opening: Opening, radius_at: Any, farthest_mm: int = 20) -> Opening:
+    """From an open vessel's rim inward to where it widens like the body: the junction of vessel and atrium."""
+    axis = opening.normal
+    centre, normal, area = _smallest_section(opening.centre - 0.5 * axis, axis, axis, radius_at)
+    places = [(centre, normal, area)]
+    for _ in range(farthest_mm):
+        centre, normal, area = _smallest_section(centre - normal, normal, axis, radius_at)
+        if area > WIDENING * min(a for _, _, a in places[-3:]):
+            break
+        places.append((centre, normal, area))
+    chosen = places[max(0, len(places) - 2)]
+    diameter = float(2 * np.sqrt(chosen[2] / np.pi))
+    return Opening(opening.name, chosen[0], chosen[1], opening.beyond, diameter, opening.confidence, opening.source)

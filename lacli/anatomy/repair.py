@@ -295,7 +295,7 @@ def _cap(
     if small:
         notes.append(f"{small} holes were filled")
     if rims:
-        notes.append(f"{len(rims)} openings were found")
+        notes.append(f"{len(rims)} rims of {OPENING_MM:g} mm or more were found")
     return points, np.vstack(everything), sorted(rims, key=lambda r: -r.length_mm), small
 
 

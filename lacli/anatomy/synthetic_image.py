@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from lacli.anatomy.bundle import PLANES
 from lacli.anatomy.image import Image
-from lacli.anatomy.synthetic import signed_distance_grid, sized
+from lacli.anatomy.synthetic import sized
 from lacli.anatomy.synthetic_shape import Shape
 
 FloatArray = NDArray[np.float64]
@@ -136,4 +136,4 @@ def _fat(shape: Shape, grid: _Grid, inside: FloatArray, thickness: float) -> tup
     return share, reached / 27.0 * float(np.prod(grid.spacing)) / 1000.0
 
 
-__all__ = ["HOUNSFIELD", "LA", "LV", "WALL", "SyntheticImages", "images", "signed_distance_grid"]
+__all__ = ["HOUNSFIELD", "LA", "LV", "WALL", "SyntheticImages", "images"]

@@ -126,7 +126,7 @@ def _build(
     if image.is_image(source):
         labels = image.read(source)
         volumes = image.label_volumes(labels)
-        return build.from_labels(labels, _la_label(source, volumes, la), lv, options, given, say, wall)
+        return build.from_labels(labels, la_label(source, volumes, la), lv, options, given, say, wall)
     if source.name.removesuffix(".gz").endswith((".elem", ".pts")):
         mesh = carp.read(source)
         if mesh.kind != "Tr":
@@ -146,7 +146,7 @@ def _build(
     return build.from_surface(repair.repair(points, triangles), options, given, axes, say)
 
 
-def _la_label(source: Path, volumes: dict[int, float], la: int | None) -> int:
+def la_label(source: Path, volumes: dict[int, float], la: int | None) -> int:
     if not volumes:
         raise AnatomyError(f"{source}: every voxel is 0; the label map is empty.")
     listing = ", ".join(f"{label} ({ml:.3g} mL)" for label, ml in sorted(volumes.items()))
