@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -35,7 +36,8 @@ class _Stack:
 
     exponent (p, f, n): phi @ exponent = log of the kernel's correlation with each run; linear (p, f, 1 + q): the mean's
     and its uncertainty's part linear in phi; weights (p, n, 1 + q): their part linear in the correlations;
-    roots (p, n, n): transposed inverse Cholesky factors times s2; prior (p,): s2 + nugget; nugget (p,); moments (p,) for the output.
+    roots (p, n, n): transposed inverse Cholesky factors times s2, and the same in vertical strips cut off below the
+    diagonal: (last row, (p, rows, columns)); prior (p,): s2 + nugget; nugget (p,); moments (p,) for the output.
     """
 
     logged: NDArray[np.int64]
@@ -45,6 +47,7 @@ class _Stack:
     linear: FloatArray
     weights: FloatArray
     roots: FloatArray
+    strips: tuple[tuple[int, FloatArray], ...]
     prior: FloatArray
     nugget: FloatArray
     shift: FloatArray
@@ -149,11 +152,12 @@ class EmulatorSet:
                 t = np.matmul(k, s.weights)
                 t += np.matmul(phi, s.linear)
                 mean[:] = t[:, :, 0]
-                v = np.matmul(k, s.roots)
-                np.einsum("pmn,pmn->pm", v, v, out=variance)
                 w = t[:, :, 1:]
-                np.subtract(np.einsum("pmq,pmq->pm", w, w), variance, out=variance)
+                np.einsum("pmq,pmq->pm", w, w, out=variance)
                 variance += s.prior[:, None]
+                for end, strip in s.strips:
+                    v = np.matmul(k[:, :, :end], strip)
+                    variance -= np.einsum("pmn,pmn->pm", v, v)
             else:
                 mean[:] = np.matmul(k, s.weights[:, :, :1])[:, :, 0] + np.matmul(phi, s.linear[:, :, :1])[:, :, 0]
         else:
@@ -247,9 +251,13 @@ def _stack(emulators: Sequence[Emulator]) -> _Stack:
         linear.append(np.hstack([(to_h @ g.beta)[:, None], to_h @ g.c.T]))
         weights.append(g.s2 * np.hstack([g.alpha[:, None], -(g.c @ g.g).T]))
         roots.append(np.ascontiguousarray(g.s2 * g.inverse_factor.T))
+    n_strips = max(1, min(4, n // 32))
+    ends = np.linspace(0, n, n_strips + 1).astype(int)
+    stacked = np.array(roots)
+    strips = tuple((int(b), np.ascontiguousarray(stacked[:, :b, a:b])) for a, b in itertools.pairwise(ends))
     return _Stack(
-        logged=logged, nugget=np.array([e.process.nugget for e in emulators]), low=low, high=high, exponent=np.array(exponent), linear=np.array(linear), weights=np.array(weights),
-        roots=np.array(roots), prior=np.array([e.process.s2 + e.process.nugget for e in emulators]),
+        strips=strips, logged=logged, nugget=np.array([e.process.nugget for e in emulators]), low=low, high=high, exponent=np.array(exponent), linear=np.array(linear), weights=np.array(weights),
+        roots=stacked, prior=np.array([e.process.s2 + e.process.nugget for e in emulators]),
         shift=np.array([e.shift for e in emulators]), scale=np.array([e.scale for e in emulators]),
         inflation=np.array([e.inflation for e in emulators]), log_output=np.array([e.log_output for e in emulators]),
     )  # fmt: skip

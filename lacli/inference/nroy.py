@@ -25,7 +25,8 @@ Level = Callable[[FloatArray], FloatArray]
 Below = Callable[[FloatArray, float], BoolArray]
 
 _SURVIVE = 0.25  # share of the population below the next level
-_FORGOTTEN = 0.3  # correlation with the start below which a level's moves stop
+_FADED = 0.3  # correlation with the start below which a level's moves stop
+_FORGOTTEN = 0.3  # the same between two states that are kept
 _MAX_STEPS = 400
 _SMALLEST = 1e-14  # volume at which a region counts as empty
 
@@ -94,10 +95,11 @@ def sample_region(
                 float(population.value[lowest]), population.x[lowest],
             )  # fmt: skip
         # copies are correlated until they have moved; the factor covers what remains of that
-        relative += (1.0 - share) / (share * walkers) * (1.0 + _FORGOTTEN)
+        relative += (1.0 - share) / (share * walkers) * (1.0 + 2.0 * _FADED)
         copies = alive[rng.permutation(walkers) % len(alive)] if share < 1.0 else np.arange(walkers)
         population.restart(copies, t)
-        population.forget(_FORGOTTEN if t > 1.0 else 0.1)
+        # on the way a copy's memory fades from level to level; at the end it has to be gone
+        population.forget(_FADED if t > 1.0 else 0.1)
         if t <= 1.0:
             break
     kept = [population.x.copy()]

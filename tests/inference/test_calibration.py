@@ -45,7 +45,10 @@ class Simulator:
             if self.count >= self.limit:
                 raise KeyboardInterrupt
             self.count += 1
-            yield int(i), Outcome({}, "failed", "inverted_element") if failed[i] else Outcome(dict(zip(NAMES, y[i].tolist(), strict=True)))
+            yield (
+                int(i),
+                Outcome({}, "failed", "inverted_element") if failed[i] else Outcome(dict(zip(NAMES, y[i].tolist(), strict=True))),
+            )
 
 
 def targets(displacement=0.05, volume=0.01):
@@ -114,7 +117,9 @@ def test_kill_at_any_moment_and_rerun(whole, tmp_path):
     script = SCRIPT.format(root=root, folder=str(tmp_path))
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     for seconds in (1.5, 2.2, 2.9, 3.6, 4.3):
-        process = subprocess.Popen([sys.executable, "-c", script], env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        process = subprocess.Popen(
+            [sys.executable, "-c", script], env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
         end = time.monotonic() + seconds
         while time.monotonic() < end and process.poll() is None:
             time.sleep(0.02)

@@ -45,7 +45,9 @@ def test_likelihood_is_the_restricted_one():
         a = h.T @ ki @ h
         p = ki - ki @ h @ np.linalg.inv(a) @ h.T @ ki
         centre, spread = gp._prior(3)
-        return 0.5 * (np.linalg.slogdet(k)[1] + np.linalg.slogdet(a)[1] + y @ p @ y) + 0.5 * (((theta - centre) / spread) ** 2).sum()
+        return (
+            0.5 * (np.linalg.slogdet(k)[1] + np.linalg.slogdet(a)[1] + y @ p @ y) + 0.5 * (((theta - centre) / spread) ** 2).sum()
+        )
 
     for theta in (np.log([1.0, 2.0, 0.5, 1.5, 1e-2]), np.log([0.7, 1.0, 3.0, 0.5, 1e-1])):
         assert gp.negative_log_likelihood(theta, u, y, np.zeros(25))[0] == pytest.approx(direct(theta), rel=1e-9)

@@ -28,7 +28,9 @@ def test_implausibility_by_hand():
     # sd = sqrt(0.16 + 0.09) = 0.5: 0.5 / 0.5 and |0.25 - 1| / 0.5
     assert wave.implausibility(np.array([[0.5, 0.25, 0.0]]))[0] == pytest.approx([1.0, 1.5])
     assert wave.level(np.array([[0.5, 0.25, 0.0]]))[0] == pytest.approx(0.5)
-    assert "y1 is 0.25 where the target is 1 ± 0.3 (implausibility 1.50, threshold 3)" in ruled_out_by(wave, np.array([[0.5, 0.25, 0.0]]))
+    assert "y1 is 0.25 where the target is 1 ± 0.3 (implausibility 1.50, threshold 3)" in ruled_out_by(
+        wave, np.array([[0.5, 0.25, 0.0]])
+    )
 
 
 def test_the_sweep_measures_a_slab():

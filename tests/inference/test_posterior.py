@@ -110,14 +110,18 @@ def test_thin_band_of_what_is_not_ruled_out():
 
 def test_two_modes_keep_their_shares():
     # y = x^2, target 1 +- 0.1: two equal modes at -1 and 1
-    density = Density(ExactEmulators(2, 2, lambda x: np.c_[x[:, 0] ** 2, x[:, 1]]), targets([1.0, 0.0], [0.1, 0.5]), Region(box(2, 3.0)))
+    density = Density(
+        ExactEmulators(2, 2, lambda x: np.c_[x[:, 0] ** 2, x[:, 1]]), targets([1.0, 0.0], [0.1, 0.5]), Region(box(2, 3.0))
+    )
     chain = mcmc.sample_posterior(density, replace(SETTINGS, walkers=40))
     assert (chain.flat()[:, 0] > 0).mean() == pytest.approx(0.5, abs=0.08)
 
 
 def banana():
     return Density(
-        ExactEmulators(2, 2, lambda x: np.c_[x[:, 0], x[:, 1] - x[:, 0] ** 2]), targets([0.0, 0.0], [0.7, 0.1]), Region(box(2, 3.0))
+        ExactEmulators(2, 2, lambda x: np.c_[x[:, 0], x[:, 1] - x[:, 0] ** 2]),
+        targets([0.0, 0.0], [0.7, 0.1]),
+        Region(box(2, 3.0)),
     )
 
 

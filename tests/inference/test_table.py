@@ -113,7 +113,9 @@ def test_csv_and_parquet_give_the_same_bits(tmp_path):
 @given(st.lists(st.tuples(st.floats(-1e6, 1e6), st.floats(1e-6, 1e6)), min_size=1, max_size=5))
 def test_targets_come_back_as_written(tmp_path_factory, values):
     path = tmp_path_factory.mktemp("t") / "targets.toml"
-    targets = Targets(tuple(f"f{i}_mm" for i in range(len(values))), np.array([v[0] for v in values]), np.array([v[1] for v in values]))
+    targets = Targets(
+        tuple(f"f{i}_mm" for i in range(len(values))), np.array([v[0] for v in values]), np.array([v[1] for v in values])
+    )
     write_targets(path, targets)
     back = read_targets(path)
     assert back.names == targets.names and np.array_equal(back.mean, targets.mean) and np.array_equal(back.sd, targets.sd)
