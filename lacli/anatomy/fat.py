@@ -84,7 +84,7 @@ def fat_share(ct: Image, dense: NDArray[np.bool_]) -> FloatArray:
     Blur and voxel size make the border's voxels mixtures. A fixed window loses or wins some of them, depending on the
     neighbour; a mixture's density is linear in its shares, so their sum is right on average. Shares are not clipped: noise cancels.
     """
-    reach = 2 if ct.spacing.max() < 0.9 else 1
+    reach = 2 if ct.spacing.max() < 1.3 else 1
     ball = ndimage.generate_binary_structure(3, 1)
     core = ndimage.binary_erosion(dense, ball, iterations=1)
     around = ndimage.binary_dilation(dense, ball, iterations=reach)

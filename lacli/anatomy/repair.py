@@ -25,7 +25,7 @@ OPENING_MM = 10.0  # rims at least this long are openings (veins, valve), shorte
 
 @dataclass(frozen=True)
 class Rim:
-    """An opening that the input had: centre (3,) mm, normal (3,) out of the cavity, length mm."""
+    """An opening that the input had: centre (3,) mm, normal (3,) out of the cavity, length of the circle of its area mm."""
 
     centre: FloatArray
     normal: FloatArray
@@ -285,10 +285,11 @@ def _cap(
     for loop in loops:
         points, cap = clipping.fill_rim(points, loop, triangles)
         everything.append(cap)
-        length = paths.perimeter(points, loop)
+        a, b, c = (points[cap[:, i]] for i in range(3))
+        normal = np.cross(b - a, c - a).sum(axis=0)
+        # of the circle of the same area: a ragged rim is no longer than a smooth one
+        length = float(np.sqrt(2.0 * np.pi * np.linalg.norm(normal)))
         if length >= OPENING_MM:
-            a, b, c = (points[cap[:, i]] for i in range(3))
-            normal = np.cross(b - a, c - a).sum(axis=0)
             rims.append(Rim(points[loop].mean(axis=0), normal / max(float(np.linalg.norm(normal)), 1e-12), length))
         else:
             small += 1

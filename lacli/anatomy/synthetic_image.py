@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.interpolate import CubicSpline
 
 from lacli.anatomy.bundle import PLANES
 from lacli.anatomy.image import Image
@@ -85,14 +86,19 @@ class _Grid:
 
 
 def _fields(shape: Shape, grid: _Grid) -> tuple[FloatArray, FloatArray]:
-    """Distance to the uncut cavity (negative inside) and height over the mitral plane, per voxel (nk, nj, ni) mm."""
-    inside = np.empty(grid.size[::-1])
-    valve = np.empty(grid.size[::-1])
+    """Distance to the uncut cavity (negative inside) and height over the mitral plane, per voxel (nk, nj, ni) mm.
+
+    The distance is evaluated on every second voxel and splined between: it is smooth on that scale.
+    """
+    coarse = _Grid(grid.low, 2.0 * grid.spacing, grid.size // 2 + 1)
+    inside = np.stack([shape.implicit(coarse.points(k)).reshape(coarse.size[1], coarse.size[0]) for k in range(int(coarse.size[2]))])
+    for axis in range(3):
+        spline = CubicSpline(2.0 * np.arange(inside.shape[axis]), inside, axis=axis)
+        inside = spline(np.arange(grid.size[2 - axis]))
     cut = next(c for c in shape.cuts() if c.label == PLANES["mv"])
+    valve = np.empty(grid.size[::-1])
     for k in range(int(grid.size[2])):
-        points = grid.points(k)
-        inside[k] = shape.implicit(points).reshape(grid.size[1], grid.size[0])
-        relative = points - cut.centre
+        relative = grid.points(k) - cut.centre
         height = relative @ cut.direction
         across = np.linalg.norm(relative - height[:, None] * cut.direction, axis=1)
         # the plane ends where the valve's tube does; beside it the atrium may reach lower
