@@ -104,7 +104,9 @@ def coordinates_of_atlas() -> None:
     _compare("uac, side lines and roof found, vessel tags given", sides, reference, "0.06, 0.15", "0.03, 0.08")
     found = auto_vessels(points, triangles)
     everything = uac.coordinates(uac.Parts(points, triangles, found, mitral))
-    _compare("uac, everything found from the bare surface (names, ostia, lines)", everything, reference, "0.06, 0.15", "0.03, 0.08")
+    _compare(
+        "uac, everything found from the bare surface (names, ostia, lines)", everything, reference, "0.06, 0.15", "0.03, 0.08"
+    )
 
 
 def auto_vessels(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -122,7 +124,7 @@ def auto_vessels(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     # a triangle belongs to a vessel if it lies past that vessel's plane: nearest point of what was kept is on the plane
     middle = points[triangles].mean(axis=1)
     kept = cavity.points[cavity.triangles].mean(axis=1)
-    distance, nearest = cKDTree(kept[cavity.label == 0]).query(middle)
+    distance, _ = cKDTree(kept[cavity.label == 0]).query(middle)
     gone = distance > 0.3
     names = {v: n for n, v in PLANES.items()}
     planes = cavity.label > 0
@@ -196,17 +198,29 @@ def shells() -> None:
         got = thickness.of_bundle(bundle)
         truth = exact(bundle.points[got.ids])
         for way, value in (("eikonal", got.eikonal), ("Laplace", got.laplace)):
-            show(f"thickness of a {name} spherical shell, {way}, largest error", "3 %", "1 %", f"{100 * np.abs(value / truth - 1).max():.2f} %")
+            show(
+                f"thickness of a {name} spherical shell, {way}, largest error",
+                "3 %",
+                "1 %",
+                f"{100 * np.abs(value / truth - 1).max():.2f} %",
+            )
 
 
 def rodero() -> None:
     folder = DATA / "la_rodero01"
     for size in ("2.0", "1.5"):
         bundle = tagged.read_tagged(
-            folder / f"LA_tets_{size}mm.vtu", folder / f"LA_surfaces_{size}mm.vtp", folder / f"rodero_01_fullheart_{size}mm.namemap.json"
+            folder / f"LA_tets_{size}mm.vtu",
+            folder / f"LA_surfaces_{size}mm.vtp",
+            folder / f"rodero_01_fullheart_{size}mm.namemap.json",
         )
         got = thickness.of_bundle(bundle)
-        show(f"la_rodero01 {size} mm: eikonal against Laplace, median of regional means", "0.13 mm", "0.05 mm", f"{got.median_difference_mm:.3f} mm")
+        show(
+            f"la_rodero01 {size} mm: eikonal against Laplace, median of regional means",
+            "0.13 mm",
+            "0.05 mm",
+            f"{got.median_difference_mm:.3f} mm",
+        )
 
 
 def fat_volume() -> None:
@@ -229,13 +243,17 @@ def cohort(seeds: range = range(1, 11)) -> None:
         shape = synthetic.sized(seed)
         exact = synthetic.cavity(shape).volume_ml()
         made = synthetic_image.images(seed)
-        built = build.from_labels(made.labels, synthetic_image.LA, synthetic_image.LV, build.Options(cell_size_mm=CELL_MM), say=quiet)
+        built = build.from_labels(
+            made.labels, synthetic_image.LA, synthetic_image.LV, build.Options(cell_size_mm=CELL_MM), say=quiet
+        )
         right = vein_names(shape, built.landmarks)
         named += right
         agreement = same_region(truth, built.bundle)
         volume = built.bundle.cavity_volume_ml() / exact - 1.0
         cuts = Landmarks({opening_name(c.label): cut_of(c) for c in shape.cuts() if c.label != PLANES["mv"]})
-        again = build.from_labels(made.labels, synthetic_image.LA, synthetic_image.LV, build.Options(cell_size_mm=CELL_MM), cuts, quiet)
+        again = build.from_labels(
+            made.labels, synthetic_image.LA, synthetic_image.LV, build.Options(cell_size_mm=CELL_MM), cuts, quiet
+        )
         given_volume = again.bundle.cavity_volume_ml() / exact - 1.0
         volumes.append(abs(volume))
         given_volumes.append(abs(given_volume))
@@ -247,7 +265,12 @@ def cohort(seeds: range = range(1, 11)) -> None:
         )
     show("ten anatomies: volume, planes found (worst)", "2 %", "1 %", f"{100 * max(volumes):.2f} %")
     show("ten anatomies: volume, the truth's vessel planes given (worst)", "2 %", "1 %", f"{100 * max(given_volumes):.2f} %")
-    show("ten anatomies: region agreement (worst, mean)", "90 %", "97 %", f"{100 * min(agreements):.1f} %, {100 * np.mean(agreements):.1f} %")
+    show(
+        "ten anatomies: region agreement (worst, mean)",
+        "90 %",
+        "97 %",
+        f"{100 * min(agreements):.1f} %, {100 * np.mean(agreements):.1f} %",
+    )
     show("ten anatomies: all vessels named right", "10 of 10", "10 of 10", f"{named} of {len(seeds)}")
 
 
@@ -256,7 +279,9 @@ def opening_name(label: int) -> str:
 
 
 def cut_of(cut: Cut) -> Opening:
-    return Opening(opening_name(cut.label), cut.centre, cut.direction, cut.centre + 3.0 * cut.direction, cut.reach_mm, 1.0, "landmarks file")
+    return Opening(
+        opening_name(cut.label), cut.centre, cut.direction, cut.centre + 3.0 * cut.direction, cut.reach_mm, 1.0, "landmarks file"
+    )
 
 
 def vein_names(shape: Shape, found: Landmarks) -> bool:
@@ -292,6 +317,5 @@ JOBS: dict[str, Callable[[], None]] = {
 }
 
 if __name__ == "__main__":
-
     for job in sys.argv[1:] or JOBS:
         JOBS[job]()

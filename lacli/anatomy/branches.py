@@ -98,7 +98,7 @@ def _walking_distance(inside: BoolArray, start: NDArray[np.int64], spacing: floa
         length.append(np.full(int(pair.sum()), spacing * float(np.sqrt((d**2).sum()))))
     size = int(inside.sum())
     graph = coo_matrix((np.concatenate(length), (np.concatenate(rows), np.concatenate(columns))), shape=(size, size)).tocsr()
-    distance = dijkstra(graph, directed=False, indices=int(number[tuple(start)]))
+    distance = dijkstra(graph, directed=False, indices=number[tuple(start)][None])[0]
     walked = np.full(inside.shape, np.nan)
     walked[inside] = distance
     return walked
@@ -133,8 +133,8 @@ def _branches(field: Image, walked: FloatArray, least_length: float) -> list[Bra
         end = int(np.searchsorted(-distance, -level))
         mine = here[flat[done:end]]
         voxels = np.bincount(mine, minlength=count + 1)[1:]
-        centres = np.column_stack([np.bincount(mine, weights=place[done:end, a], minlength=count + 1)[1:] for a in range(3)])
-        centres /= np.maximum(voxels, 1)[:, None]
+        sums = np.column_stack([np.bincount(mine, weights=place[done:end, a], minlength=count + 1)[1:] for a in range(3)])
+        centres = sums / np.maximum(voxels, 1)[:, None]
         children: dict[int, list[int]] = {}
         for voxel, track in heads:
             children.setdefault(int(here[voxel]), []).append(track)

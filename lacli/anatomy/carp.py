@@ -88,7 +88,7 @@ def write(mesh: CarpMesh, prefix: Path) -> list[Path]:
         target = base.with_name(base.name + ending)
         temporary = target.with_name(f".part-{os.getpid()}-{target.name}")
         temporary.write_text(content)
-        os.replace(temporary, target)
+        temporary.replace(target)
         written.append(target)
     return written
 

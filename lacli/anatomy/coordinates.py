@@ -162,8 +162,7 @@ def _feet(bundle: Bundle, cells: NDArray[np.bool_], centres: FloatArray) -> IntA
     depth = bundle.transmural[corner].mean(axis=1)
     size = np.maximum((slope**2).sum(axis=1), 1e-12)
     foot = bundle.points[corner].mean(axis=1) - (depth / size)[:, None] * slope
-    _, nearest = cKDTree(centres).query(foot)
-    return nearest
+    return np.asarray(cKDTree(centres).query(foot)[1])
 
 
 def pericardium_coordinate(bundle: Bundle, region: IntArray) -> FloatArray:

@@ -47,7 +47,11 @@ def segment(ct: Image, pool: Surface, bundle: Bundle | None = None, window: str 
     low_hu, high_hu = WINDOWS[window]
     _check_hounsfield(ct)
     margin = reach_mm + 2.0
-    corners = np.array(np.meshgrid(*np.column_stack([pool.points.min(axis=0) - margin, pool.points.max(axis=0) + margin]))).reshape(3, -1).T
+    corners = (
+        np.array(np.meshgrid(*np.column_stack([pool.points.min(axis=0) - margin, pool.points.max(axis=0) + margin])))
+        .reshape(3, -1)
+        .T
+    )
     index = ct.to_index(corners)
     low, high = np.floor(index.min(axis=0)).astype(int), np.ceil(index.max(axis=0)).astype(int) + 1
     size = np.array(ct.array.shape[::-1])
@@ -82,7 +86,8 @@ def fat_share(ct: Image, dense: NDArray[np.bool_]) -> FloatArray:
     """Share of fat per voxel: 1 inside, at the border by where the density lies between the fat's and the tissue's nearby.
 
     Blur and voxel size make the border's voxels mixtures. A fixed window loses or wins some of them, depending on the
-    neighbour; a mixture's density is linear in its shares, so their sum is right on average. Shares are not clipped: noise cancels.
+    neighbour; a mixture's density is linear in its shares, so their sum is right on average.
+    Shares are not clipped: noise cancels.
     """
     reach = 2 if ct.spacing.max() < 1.3 else 1
     ball = ndimage.generate_binary_structure(3, 1)
@@ -122,7 +127,8 @@ def _outside_within(points: FloatArray, pool: Surface, reach: float) -> NDArray[
     middle = pool.points[pool.triangles].mean(axis=1)
     samples = np.vstack([pool.points, middle])
     normal = np.vstack([_point_normals(pool), pool.normals()])
-    distance, nearest = cKDTree(samples).query(points, distance_upper_bound=reach + 2.0 * pool.mean_edge_mm())
+    query = cKDTree(samples).query(points, distance_upper_bound=reach + 2.0 * pool.mean_edge_mm())
+    distance, nearest = (np.asarray(values) for values in query)
     known = np.isfinite(distance)
     out = np.zeros(len(points), dtype=bool)
     offset = points[known] - samples[nearest[known]]

@@ -103,7 +103,7 @@ def laplace_dirichlet(
 ) -> RuleFibres:
     """The Laplace-Dirichlet rule: a bundle's gradient k, made tangent to the wall, is e_n; the fibre e_l = e_n x e_t.
 
-    across (m, 3): unit e_t. ``angle_deg`` turns the fibre about e_t: the first value where ``transmural`` (m,) < 0.5 (a step), the
+    across (m, 3): unit e_t. ``angle_deg`` turns the fibre about e_t: the first value where ``transmural`` (m,) < 0.5, the
     second above; 0, 0 as published for the left atrium. Cells whose k is along e_t take their nearest good neighbour's direction.
     """
     tau = tau or Thresholds()
@@ -135,7 +135,7 @@ def _fill(centre: FloatArray, vector: FloatArray, weak: NDArray[np.bool_], acros
     best = np.argmax(size > 0.3, axis=1)
     rows = np.arange(len(best))
     chosen = candidates[rows, best] / np.maximum(size[rows, best], 1e-12)[:, None]
-    spare = np.cross(across[weak], np.roll(across[weak], 1, axis=1) + [0.1, 0.2, 0.3])
+    spare = np.cross(across[weak], np.roll(across[weak], 1, axis=1) + np.array([0.1, 0.2, 0.3]))
     spare /= np.linalg.norm(spare, axis=1, keepdims=True)
     out = vector.copy()
     out[weak] = np.where((size[rows, best] > 1e-6)[:, None], chosen, spare)

@@ -23,18 +23,18 @@ SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz", ".mha", ".mhd", ".hdr", ".img")
 
 @dataclass(frozen=True)
 class Image:
-    """A 3-D image: array (nk, nj, ni); spacing (3,) mm along i, j, k; origin (3,) mm; direction (3, 3), columns the axes i, j, k."""
+    """A 3-D image: array (nk, nj, ni); spacing (3,) mm along i, j, k; origin (3,) mm; direction (3, 3), its columns i, j, k."""
 
     array: NDArray[Any]
     spacing: FloatArray
     origin: FloatArray
     direction: FloatArray
 
-    def to_world(self, index: FloatArray) -> FloatArray:
+    def to_world(self, index: NDArray[Any]) -> FloatArray:
         """(n, 3) continuous indices (i, j, k) -> (n, 3) mm, LPS."""
         return self.origin + (np.asarray(index, dtype=float) * self.spacing) @ self.direction.T
 
-    def to_index(self, world: FloatArray) -> FloatArray:
+    def to_index(self, world: NDArray[Any]) -> FloatArray:
         """(n, 3) mm, LPS -> continuous indices (i, j, k)."""
         return ((np.asarray(world, dtype=float) - self.origin) @ np.linalg.inv(self.direction).T) / self.spacing
 
@@ -154,7 +154,7 @@ def write(image: Image, path: Path, dtype: Any = None) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".part-{os.getpid()}-{path.name}")
     sitk.WriteImage(out, str(temporary), True)
-    os.replace(temporary, path)
+    temporary.replace(path)
 
 
 def label_volumes(image: Image) -> dict[int, float]:

@@ -118,9 +118,9 @@ def _missing(side: str, group: list[Branch]) -> str:
     if not group:
         return f"no vein was found on the {word}; include 5 mm of each vein in the segmentation or give them in landmarks.toml."
     return (
-        f"only one vein was found on the {word} ({group[0].diameter_mm:.0f} mm wide at {_words(group[0].centre)}): either the other "
-        "is not in the segmentation, or both share a common trunk. Segment at least 5 mm of each vein beyond the trunk, or give both ostia "
-        f"([{side}spv] and [{side}ipv]: centre, normal) in landmarks.toml."
+        f"only one vein was found on the {word} ({group[0].diameter_mm:.0f} mm wide at {_words(group[0].centre)}): "
+        "either the other is not in the segmentation, or both share a common trunk. Segment at least 5 mm of each vein beyond the "
+        f"trunk, or give both ostia ([{side}spv] and [{side}ipv]: centre, normal) in landmarks.toml."
     )
 
 
@@ -183,15 +183,15 @@ def _sides(
     if appendage is None:
         raise AnatomyError("left and right cannot be told without an appendage or known axes; give the veins in landmarks.toml.")
     centres = [np.mean([branches[i].centre for i in g], axis=0) for g in (first, second)]
-    gaps = [float(np.linalg.norm(c - branches[appendage].centre)) for c in centres]
-    left, right = (first, second) if gaps[0] < gaps[1] else (second, first)
+    away = [float(np.linalg.norm(c - branches[appendage].centre)) for c in centres]
+    left, right = (first, second) if away[0] < away[1] else (second, first)
     up = ostia.mean(axis=0) - mitral
     up /= np.linalg.norm(up)
-    across = centres[0] - centres[1] if gaps[0] < gaps[1] else centres[1] - centres[0]
+    across = centres[0] - centres[1] if away[0] < away[1] else centres[1] - centres[0]
     across -= (across @ up) * up
     across /= np.linalg.norm(across)
     axes = Axes(across, np.cross(up, across), up, False)
-    return left, right, float(np.clip(abs(gaps[0] - gaps[1]) / scale, 0, 1)), axes
+    return left, right, float(np.clip(abs(away[0] - away[1]) / scale, 0, 1)), axes
 
 
 def ostium(name: str, branch: Branch, confidence: float, radius_at: Any, ring_mm: float = 0.0) -> Opening:
@@ -279,7 +279,7 @@ def write(landmarks: Landmarks, path: Path) -> None:
         document["sides"] = {name: [round(float(x), 3) for x in point] for name, point in landmarks.sides.items()}
     temporary = path.with_name(f".part-{os.getpid()}-{path.name}")
     temporary.write_bytes(tomli_w.dumps(document).encode())
-    os.replace(temporary, path)
+    temporary.replace(path)
 
 
 def read(path: Path) -> Landmarks:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import meshio
 import numpy as np
@@ -28,7 +29,7 @@ def write(bundle: Bundle, path: Path) -> None:
         carp.write(carp.CarpMesh(bundle.points[_corners(bundle)], "Tt", _renumbered(bundle), bundle.region, bundle.fibre), path)
         return
     points = {n: v for n in ("transmural", "uac", "pericardium_coordinate") if (v := getattr(bundle, n)) is not None}
-    cells = {"region": [bundle.region.astype(np.int32)]}
+    cells: dict[str, list[Any]] = {"region": [bundle.region.astype(np.int32)]}
     if bundle.fibre is not None:
         cells["fibre"] = [bundle.fibre]
     kind = "tetra" if bundle.order == 1 else "tetra10"
@@ -41,7 +42,7 @@ def write(bundle: Bundle, path: Path) -> None:
     except Exception as error:
         temporary.unlink(missing_ok=True)
         raise AnatomyError(f"{path}: meshio cannot write this format ({type(error).__name__}: {error}).") from None
-    os.replace(temporary, path)
+    temporary.replace(path)
 
 
 def _corners(bundle: Bundle) -> NDArray[np.int64]:
@@ -56,7 +57,8 @@ def _renumbered(bundle: Bundle) -> NDArray[np.int64]:
 
 
 def read_fibres(path: Path) -> tuple[FloatArray, FloatArray]:
-    """Cell centres (m, 3) mm and unit fibres (m, 3) of a CARP mesh (.lon with its .pts and .elem) or a file with a cell array 'fibre'.
+    """Cell centres (m, 3) mm and unit fibres (m, 3) of a CARP mesh (.lon with its .pts and .elem) or a file with a cell array
+    'fibre'.
 
     Raises InputError where there are none, or one is not finite or zero.
     """
@@ -96,10 +98,12 @@ def carry_fibres(bundle: Bundle, centre: FloatArray, fibre: FloatArray, reach_mm
 
     Raises AnatomyError where most cells find none within ``reach_mm``: the two meshes do not lie in one place.
     """
-    distance, nearest = cKDTree(centre).query(bundle.points[bundle.tets[:, :4]].mean(axis=1))
+    query = cKDTree(centre).query(bundle.points[bundle.tets[:, :4]].mean(axis=1))
+    distance, nearest = (np.asarray(values) for values in query)
     wall = bundle.region < 10
     if np.median(distance[wall]) > reach_mm:
         raise AnatomyError(
-            f"the fibres' mesh lies {np.median(distance[wall]):.1f} mm away from the wall (median); it must be the same heart in the same frame."
+            f"the fibres' mesh lies {np.median(distance[wall]):.1f} mm away from the wall (median); "
+            "it must be the same heart in the same frame."
         )
     return fibre[nearest]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csr_matrix
@@ -39,7 +41,7 @@ def shortest_path(graph: csr_matrix, start: int, goals: IntArray | int) -> IntAr
     Of several goals the one whose shortest path has the fewest edges is taken, and the nearest of those: the choice of the
     published coordinates (Roney 2019), which matters where a rim is nearly equidistant.
     """
-    distance, before = dijkstra(graph, indices=start, return_predecessors=True)
+    distance, before = (row[0] for row in dijkstra(graph, indices=np.array([start]), return_predecessors=True))
     ends = np.unique(np.atleast_1d(np.asarray(goals, dtype=np.int64)))
     ends = ends[np.isfinite(distance[ends])]
     if len(ends) == 0:
@@ -123,7 +125,7 @@ def perimeter(points: FloatArray, loop: IntArray) -> float:
     return float(np.linalg.norm(points[loop] - points[np.roll(loop, 1)], axis=1).sum())
 
 
-def triangle_components(triangles: IntArray, keep: BoolArray | None = None) -> tuple[int, IntArray]:
+def triangle_components(triangles: IntArray, keep: Any = None) -> tuple[int, IntArray]:
     """Parts of a surface connected across edges: their number and (t,) the part of each triangle, -1 outside ``keep``."""
     chosen = np.arange(len(triangles)) if keep is None else np.flatnonzero(keep)
     label = np.full(len(triangles), -1, dtype=np.int64)

@@ -96,7 +96,7 @@ def _shoot(plotter: Any, file: Path) -> None:
     temporary = file.with_name(f".part-{os.getpid()}-{file.name}")
     plotter.screenshot(str(temporary))
     plotter.close()
-    os.replace(temporary, file)
+    temporary.replace(file)
 
 
 def regions(bundle: Bundle, file: Path) -> None:
@@ -285,4 +285,4 @@ def square(bundle: Bundle, file: Path) -> None:
     temporary = file.with_name(f".part-{os.getpid()}-{file.name}")
     figure.savefig(temporary)
     plt.close(figure)
-    os.replace(temporary, file)
+    temporary.replace(file)

@@ -87,7 +87,7 @@ def write(report: dict[str, Any], folder: Path) -> None:
     for name, content in (("quality.json", json.dumps(report, indent=2) + "\n"), ("quality.txt", text(report))):
         temporary = folder / f".part-{os.getpid()}-{name}"
         temporary.write_text(content)
-        os.replace(temporary, folder / name)
+        temporary.replace(folder / name)
 
 
 def draw(folder: Path) -> Iterator[str]:

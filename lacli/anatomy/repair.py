@@ -92,7 +92,7 @@ def repair(points: FloatArray, triangles: IntArray) -> Repaired:
     surface is rebuilt from voxels (0.5 mm). Raises AnatomyError where there is no closed cavity to be had.
     """
     notes: list[str] = []
-    bad = ~np.isfinite(points).all(axis=1)
+    bad = np.asarray(~np.isfinite(points).all(axis=1))
     if bad.any():
         hit = bad[triangles].any(axis=1)
         triangles = triangles[~hit]
@@ -236,7 +236,7 @@ def _largest(points: FloatArray, triangles: IntArray, notes: list[str]) -> IntAr
 
 def _orient(triangles: IntArray, notes: list[str]) -> tuple[IntArray, bool]:
     """Neighbours turned the same way; False where an edge has more than two triangles or the turn contradicts itself."""
-    edges, count, of = paths.edge_table(triangles)
+    _, count, of = paths.edge_table(triangles)
     if (count > 2).any():
         notes.append(f"{int((count > 2).sum())} non-manifold edges were found")
         return triangles, False

@@ -91,7 +91,9 @@ def _fields(shape: Shape, grid: _Grid) -> tuple[FloatArray, FloatArray]:
     The distance is evaluated on every second voxel and splined between: it is smooth on that scale.
     """
     coarse = _Grid(grid.low, 2.0 * grid.spacing, grid.size // 2 + 1)
-    inside = np.stack([shape.implicit(coarse.points(k)).reshape(coarse.size[1], coarse.size[0]) for k in range(int(coarse.size[2]))])
+    inside = np.stack(
+        [shape.implicit(coarse.points(k)).reshape(coarse.size[1], coarse.size[0]) for k in range(int(coarse.size[2]))]
+    )
     for axis in range(3):
         spline = CubicSpline(2.0 * np.arange(inside.shape[axis]), inside, axis=axis)
         inside = spline(np.arange(grid.size[2 - axis]))

@@ -14,11 +14,18 @@ from lacli.errors import AnatomyError, UsageError
 
 def command(
     ct: Annotated[Path, typer.Argument(metavar="CT", help="CT volume in Hounsfield units (.nrrd .nii .nii.gz .mha).")],
-    bundle: Annotated[Path | None, typer.Option("--anatomy", help="Bundle of the same patient: its cavity is the blood pool, its regions count.")] = None,
-    labels: Annotated[Path | None, typer.Option("--labels", help="Label map of the same patient: its label --la is the blood pool.")] = None,
+    bundle: Annotated[
+        Path | None,
+        typer.Option("--anatomy", help="Bundle of the same patient: its cavity is the blood pool, its regions count."),
+    ] = None,
+    labels: Annotated[
+        Path | None, typer.Option("--labels", help="Label map of the same patient: its label --la is the blood pool.")
+    ] = None,
     la: Annotated[int | None, typer.Option("--la", help="Label of the left atrium's blood in --labels.")] = None,
     reach_mm: Annotated[float, typer.Option("--within", help="How far from the blood pool fat counts, mm.")] = 5.0,
-    folder: Annotated[Path, typer.Option("--out", "-o", help="Folder for fat.vtp (surface), fat.vtu (voxels with regions), fat.json.")] = Path("fat"),
+    folder: Annotated[
+        Path, typer.Option("--out", "-o", help="Folder for fat.vtp (surface), fat.vtu (voxels with regions), fat.json.")
+    ] = Path("fat"),
     as_json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
 ) -> None:
     """Segment epicardial fat around the atrium's blood pool; volume per region, in both published windows, and its mesh.
@@ -31,7 +38,9 @@ def command(
     from lacli.anatomy.bundle import load
 
     if bundle is None and labels is None:
-        raise UsageError("Give the blood pool: --anatomy BUNDLE, or --labels MAP with --la LABEL, or both (regions come from the bundle).")
+        raise UsageError(
+            "Give the blood pool: --anatomy BUNDLE, or --labels MAP with --la LABEL, or both (regions come from the bundle)."
+        )
     if not 0.5 <= reach_mm <= 20.0:
         raise UsageError(f"--within is {reach_mm:g} mm; it must be 0.5 to 20 mm.")
     with progress() as bar:
@@ -51,7 +60,12 @@ def command(
         return
     names = list(next(iter(found.values())).per_region_ml)
     rows = [
-        [f"{w} {fat.WINDOWS[w][0]:.0f} .. {fat.WINDOWS[w][1]:.0f} HU", f.volume_ml, f.window_ml, *[f.per_region_ml[n] for n in names]]
+        [
+            f"{w} {fat.WINDOWS[w][0]:.0f} .. {fat.WINDOWS[w][1]:.0f} HU",
+            f.volume_ml,
+            f.window_ml,
+            *[f.per_region_ml[n] for n in names],
+        ]
         for w, f in found.items()
     ]
     print_table("Epicardial fat", ["window", "fat (mL)", "voxels in window (mL)", *[f"{n} (mL)" for n in names]], rows)
@@ -88,7 +102,12 @@ def _save(found: dict[str, Any], folder: Path, ct: Path, reach: float) -> dict[s
         "ct": str(ct),
         "within_mm": reach,
         "windows": {
-            w: {"hu": list(fat.WINDOWS[w]), "fat_ml": f.volume_ml, "voxels_in_window_ml": f.window_ml, "per_region_ml": f.per_region_ml}
+            w: {
+                "hu": list(fat.WINDOWS[w]),
+                "fat_ml": f.volume_ml,
+                "voxels_in_window_ml": f.window_ml,
+                "per_region_ml": f.per_region_ml,
+            }
             for w, f in found.items()
         },
         "files": ["fat.json"],
@@ -97,16 +116,19 @@ def _save(found: dict[str, Any], folder: Path, ct: Path, reach: float) -> dict[s
     if standard.mask.array.any():
         points, cells, region = fat.cells(standard)
         for name, save in (
-            ("fat.vtu", lambda p: meshio.Mesh(points, [("hexahedron", cells)], cell_data={"region": [region.astype("int32")]}).write(p)),
+            (
+                "fat.vtu",
+                lambda p: meshio.Mesh(points, [("hexahedron", cells)], cell_data={"region": [region.astype("int32")]}).write(p),
+            ),
             ("fat.vtp", lambda p: pictures.polydata(fat.surface_of(standard)).save(p)),
         ):
             temporary = folder / f".part-{os.getpid()}-{name}"
             save(temporary)
-            os.replace(temporary, folder / name)
+            temporary.replace(folder / name)
             report["files"].append(name)
     else:
         raise AnatomyError(f"{ct}: no fat within {reach:g} mm of the blood pool; do CT and blood pool share a frame (LPS mm)?")
     temporary = folder / f".part-{os.getpid()}-fat.json"
     temporary.write_text(json.dumps(report, indent=2) + "\n")
-    os.replace(temporary, folder / "fat.json")
+    temporary.replace(folder / "fat.json")
     return report

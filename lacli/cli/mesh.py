@@ -156,7 +156,8 @@ def la_label(source: Path, volumes: dict[int, float], la: int | None) -> int:
         return la
     if len(volumes) > 1:
         raise UsageError(
-            f"{source}: several labels: {listing}. Say which is the left atrium's blood with --la (and the left ventricle's with --lv)."
+            f"{source}: several labels: {listing}. Say which is the left atrium's blood with --la "
+            "(and the left ventricle's with --lv)."
         )
     return next(iter(volumes))
 
@@ -201,8 +202,8 @@ def _save(source: Path, folder: Path, built: Any, options: Any, also: list[Path]
         if any(folder.iterdir()) and not (folder / "wall.vtu").is_file():
             shutil.rmtree(part)
             raise UsageError(f"{folder}: the folder exists and holds something else than a bundle; choose another --out.")
-        os.replace(folder, old)
-    os.replace(part, folder)
+        folder.replace(old)
+    part.replace(folder)
     shutil.rmtree(old, ignore_errors=True)
     for path in also:
         meshfile.write(done, path)
@@ -235,7 +236,8 @@ def _show(report: dict[str, Any], folder: Path, drawn: list[str]) -> None:
     ]
     print_table("Regions", ["region", "thickness, eikonal (mm)", "thickness, Laplace (mm)", "wall volume (mL)"], rows)
     out.print(
-        f"cavity {report['cavity_volume_ml']:.2f} mL, {report['cells']} cells, smallest scaled Jacobian {report['scaled_jacobian_min']:.3f}, "
+        f"cavity {report['cavity_volume_ml']:.2f} mL, {report['cells']} cells, "
+        f"smallest scaled Jacobian {report['scaled_jacobian_min']:.3f}, "
         f"{100 * report['scaled_jacobian_share_below_0.2']:.2f} % below 0.2, {report['cpu_s']:.0f} s",
         highlight=False,
     )
@@ -244,7 +246,8 @@ def _show(report: dict[str, Any], folder: Path, drawn: list[str]) -> None:
     doubtful = [n for n, o in report["openings"].items() if o["confidence"] < 0.6]
     if doubtful:
         err.print(
-            f"Look at {', '.join(doubtful)}: found with little confidence. Correct {folder / 'landmarks.toml'} and give it back with --landmarks."
+            f"Look at {', '.join(doubtful)}: found with little confidence. "
+            f"Correct {folder / 'landmarks.toml'} and give it back with --landmarks."
         )
     out.print(
         f"written: {folder} ({', '.join(['wall.vtu', 'boundary.vtp', 'anatomy.json', 'landmarks.toml', 'quality.txt', *drawn])})",

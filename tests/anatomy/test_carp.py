@@ -17,7 +17,11 @@ lengths = st.floats(-200, 200, allow_nan=False)
 
 
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(points=st.lists(st.tuples(lengths, lengths, lengths), min_size=4, max_size=9), tags=st.lists(st.integers(0, 99), min_size=1, max_size=5), data=st.data())
+@given(
+    points=st.lists(st.tuples(lengths, lengths, lengths), min_size=4, max_size=9),
+    tags=st.lists(st.integers(0, 99), min_size=1, max_size=5),
+    data=st.data(),
+)
 def test_round_trip(tmp_path: Path, points: list[tuple[float, float, float]], tags: list[int], data: st.DataObject) -> None:
     cells = np.array([data.draw(st.permutations(range(len(points))))[:4] for _ in tags])
     fibre = np.tile([0.6, 0.0, 0.8], (len(tags), 1))

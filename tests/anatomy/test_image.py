@@ -18,7 +18,11 @@ from lacli.errors import AnatomyError, InputError
 CENTRE, RADIUS = np.array([12.0, -30.0, 55.0]), 15.0
 
 
-def ball(order: tuple[int, int, int] = (0, 1, 2), signs: tuple[int, int, int] = (1, 1, 1), spacing: tuple[float, float, float] = (0.8, 1.0, 1.3)) -> Image:
+def ball(
+    order: tuple[int, int, int] = (0, 1, 2),
+    signs: tuple[int, int, int] = (1, 1, 1),
+    spacing: tuple[float, float, float] = (0.8, 1.0, 1.3),
+) -> Image:
     """A ball of label 1 at CENTRE on a grid whose axes i, j, k run along the world's axes ``order`` with ``signs``."""
     direction = np.zeros((3, 3))
     for column, (axis, sign) in enumerate(zip(order, signs, strict=True)):
