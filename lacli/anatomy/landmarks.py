@@ -119,8 +119,8 @@ def _missing(side: str, group: list[Branch]) -> str:
         return f"no vein was found on the {word}; include 5 mm of each vein in the segmentation or give them in landmarks.toml."
     return (
         f"only one vein was found on the {word} ({group[0].diameter_mm:.0f} mm wide at {_words(group[0].centre)}): "
-        "either the other is not in the segmentation, or both share a common trunk. Segment at least 5 mm of each vein beyond the "
-        f"trunk, or give both ostia ([{side}spv] and [{side}ipv]: centre, normal) in landmarks.toml."
+        "either the other is not in the segmentation, or both share a common trunk. Segment at least 5 mm of each vein beyond "
+        f"the trunk, or give both ostia ([{side}spv] and [{side}ipv]: centre, normal) in landmarks.toml."
     )
 
 
