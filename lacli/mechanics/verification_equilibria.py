@@ -33,13 +33,15 @@ def nearest(bundle: Bundle, point: tuple[float, float, float]) -> int:
     return int(distance.argmin())
 
 
-def beam_mesh(cells: tuple[int, int, int] = (14, 2, 2), grading: float = 1.5) -> Bundle:
+def beam_mesh(cells: tuple[int, int, int] = (16, 2, 2), grading: float = 2.0) -> Bundle:
     """10 x 1 x 1 mm; bricks along x, y, z; those along x shorten towards the clamp as s ** grading."""
     x = 10.0 * np.linspace(0, 1, cells[0] + 1) ** grading
     return meshes.box((x, np.linspace(0, 1, cells[1] + 1), np.linspace(0, 1, cells[2] + 1)), meshes.sides)
 
 
-def solve_beam(bundle: Bundle, kappa: tuple[float, float] = (100.0, 0.0), points: int = 4, **steering: float) -> tuple[Solution, FloatArray]:
+def solve_beam(
+    bundle: Bundle, kappa: tuple[float, float] = (10.0, 0.0), points: int = 4, **steering: float
+) -> tuple[Solution, FloatArray]:
     """Problem 1: the solution and where the point went. ``kappa``: kPa at the points and on the field (0: incompressible)."""
     tissue = material(GUCCIONE, 2.0, (8.0, 4.0, 2.0), *kappa)
     setup = Setup(bundle, tissue, clamp(bundle, 1), 0.004, (5,), points=points, task=UNSYMMETRIC, **steering)  # type: ignore[arg-type]
@@ -54,7 +56,9 @@ def beam() -> list[Check]:
     return [compare("beam", axis, at[axis], BEAM_MOVED[axis], 0.02, solution.unknowns, solution.cpu_s) for axis in ("x", "z")]
 
 
-def solve_ellipsoid(bundle: Bundle, kappa: tuple[float, float] = (100.0, 0.0), points: int = 14, **steering: float) -> tuple[Solution, dict[str, float]]:
+def solve_ellipsoid(
+    bundle: Bundle, kappa: tuple[float, float] = (100.0, 0.0), points: int = 14, **steering: float
+) -> tuple[Solution, dict[str, float]]:
     """Problem 2: the solution, both apices' z (mm) and the cavity's volume (mm3), closed by the base plane's disc."""
     tissue = material(GUCCIONE, 10.0, (1.0, 1.0, 1.0), *kappa)
     setup = Setup(bundle, tissue, clamp(bundle, meshes.CUT), 10.0, (meshes.INNER,), points=points, **steering)  # type: ignore[arg-type]
@@ -91,7 +95,9 @@ def sphere_pressure(inner_radius: float, radii: tuple[float, float] = SPHERE_RAD
     return 4 * c * (term(outer_radius / outer) - term(inner_radius / inner))
 
 
-def solve_sphere(bundle: Bundle, inner_radius: float, kappa: tuple[float, float] = (0.0, 0.0), points: int = 14) -> tuple[Solution, FloatArray]:
+def solve_sphere(
+    bundle: Bundle, inner_radius: float, kappa: tuple[float, float] = (0.0, 0.0), points: int = 14
+) -> tuple[Solution, FloatArray]:
     """An octant under the pressure of ``inner_radius`` mm: the solution, and the inner nodes' radii."""
     nodes, axes = [], []
     for axis in range(3):
@@ -115,3 +121,31 @@ def sphere(size: float = 2.5) -> list[Check]:
         quantity = f"inner_radius_{sphere_pressure(radius):.2f}_kpa"
         checks.append(compare("sphere", quantity, worst, radius, 0.002, solution.unknowns, solution.cpu_s, scale=radius))
     return checks
+
+
+UNLOAD_PRESSURE = 2.0
+
+
+def unload() -> list[Check]:
+    """A shell is loaded, its loaded shape is taken for an image, and the shape at rest is found again: by backward
+    displacement as simulations do, and as an inverse problem; loading what was found gives the image back. mm."""
+    bundle = meshes.ellipsoid(5.0)
+    tissue = material(GUCCIONE, 1.7, (4.0, 4.0, 4.0), 100.0, 900.0)
+    setup = Setup(bundle, tissue, clamp(bundle, meshes.CUT), UNLOAD_PRESSURE, (meshes.INNER,), points=4, unload=True)
+    solution = solve(setup)
+    image, original = solution.states["loaded"]
+    cost = solution.unknowns, solution.cpu_s
+
+    def worst(a: FloatArray, b: FloatArray) -> float:
+        return float(np.linalg.norm(a - b, axis=1).max())
+
+    moved = worst(image, original)
+    assert moved > 1.0, "the load does not move the shell, so nothing is tested"
+    volume, *_ = solution.other["unloaded"]
+    found, again = solution.states["unloaded"][1], solution.states["reloaded"][0]
+    return [
+        compare("unload", "ed_volume_error", volume, 0.0, 1e-4, *cost),
+        compare("unload", "shape_at_rest_mm", worst(found, original), 0.0, 0.01, *cost),
+        compare("unload", "shape_reloaded_mm", worst(again, image), 0.0, 0.01, *cost),
+        compare("unload", "inverse_shape_at_rest_mm", worst(solution.states["inverse"][1], original), 0.0, 1e-6, *cost),
+    ]

@@ -168,9 +168,25 @@ def pressure() -> list[Check]:
     return [
         compare("pressure", "volume_mm3", a[0].volume, exact, TOLERANCE, *cost, scale=exact),
         compare("pressure", "work_per_volume", float(np.sum(force * v)), -load * rate, TOLERANCE, *cost, scale=abs(load * rate)),
-        compare("pressure", "net_force", float(np.abs(force.sum(axis=0)).max()), 0.0, TOLERANCE, *cost, scale=float(np.abs(force).sum())),
+        compare(
+            "pressure",
+            "net_force",
+            float(np.abs(force.sum(axis=0)).max()),
+            0.0,
+            TOLERANCE,
+            *cost,
+            scale=float(np.abs(force).sum()),
+        ),
         compare("pressure", "symmetry", float(np.sum(w * Kv)), float(np.sum(v * Kw)), TOLERANCE, *cost, scale=size),
-        compare("pressure", "symmetric_form", float(np.abs(symmetric - Kv).max()), 0.0, TOLERANCE, *cost, scale=float(np.abs(Kv).max())),
+        compare(
+            "pressure",
+            "symmetric_form",
+            float(np.abs(symmetric - Kv).max()),
+            0.0,
+            TOLERANCE,
+            *cost,
+            scale=float(np.abs(Kv).max()),
+        ),
     ]
 
 

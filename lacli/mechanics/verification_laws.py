@@ -23,7 +23,9 @@ def difference(values: FloatArray, step: float) -> FloatArray:
     return np.tensordot(WEIGHTS, values, axes=1) / step
 
 
-def guccione_stress(F: FloatArray, f: FloatArray, p: float, c: float, alpha: float, b: tuple[float, float, float], kappa: float) -> FloatArray:
+def guccione_stress(
+    F: FloatArray, f: FloatArray, p: float, c: float, alpha: float, b: tuple[float, float, float], kappa: float
+) -> FloatArray:
     """First Piola stress (3, 3) in the axes of fibre, sheet and normal, term by term as the law is printed:
     S_ij = C/2 exp Q dQ/dE_ij, Q = alpha [bf Eff^2 + 2 bft (Efs^2 + Efn^2) + bt (Ess^2 + Enn^2 + 2 Esn^2)]."""
     bf, bft, bt = b

@@ -49,7 +49,9 @@ def with_boundary(points: FloatArray, tets: IntArray, tag: Callable[[FloatArray]
 
 
 def box(
-    breaks: tuple[FloatArray, FloatArray, FloatArray], tag: Callable[[FloatArray], IntArray], keep: NDArray[np.bool_] | None = None
+    breaks: tuple[FloatArray, FloatArray, FloatArray],
+    tag: Callable[[FloatArray], IntArray],
+    keep: NDArray[np.bool_] | None = None,
 ) -> Bundle:
     """A box of six tetrahedra a brick; ``breaks`` (a, b, c) are the bricks' ends along x, y, z; ``keep`` (a-1, b-1, c-1)
     leaves bricks out. The diagonals alternate, so that the mesh has no handedness."""
@@ -110,17 +112,21 @@ def _meshed(tag: Callable[[FloatArray], IntArray]) -> Bundle:
     gmsh.model.occ.synchronize()
     gmsh.model.mesh.generate(3)
     numbers, coordinates, _ = gmsh.model.mesh.getNodes()
-    cells, nodes = gmsh.model.mesh.getElementsByType(11)
-    worst = float(np.min(gmsh.model.mesh.getElementQualities(cells, "minDetJac")))
-    if not worst > 0:
-        raise AnatomyError(f"gmsh {gmsh.__version__} made an inverted curved cell (determinant {worst:.3g}); try another cell size.")
+    _, nodes = gmsh.model.mesh.getElementsByType(11)
     where = np.zeros(int(numbers.max()) + 1, dtype=np.int64)
     where[numbers.astype(np.int64)] = np.arange(len(numbers))
     tets = where[nodes.astype(np.int64)].reshape(-1, 10)[:, _FROM_GMSH]
-    return with_boundary(coordinates.reshape(-1, 3), tets, tag)
+    bundle = with_boundary(coordinates.reshape(-1, 3), tets, tag)
+    if not (worst := curved_determinant(bundle).min()) > 0:
+        raise AnatomyError(
+            f"gmsh {gmsh.__version__} made an inverted curved cell (determinant {worst:.3g}); try another cell size."
+        )
+    return bundle
 
 
 INNER, OUTER, CUT = 1, 2, 3
+# cells at the apex and at the clamped base are this much shorter than elsewhere
+APEX, CLAMP = 0.5, 0.5
 
 
 def sphere(inner: float, outer: float, size: float, octant: bool = True) -> Bundle:
@@ -139,24 +145,105 @@ def sphere(inner: float, outer: float, size: float, octant: bool = True) -> Bund
         return _meshed(tag)
 
 
-def ellipsoid(size: float, inner: tuple[float, float] = (7, 17), outer: tuple[float, float] = (10, 20), cut: float = 5) -> Bundle:
+def ellipsoid(
+    size: float,
+    layers: int = 1,
+    inner: tuple[float, float] = (7, 17),
+    outer: tuple[float, float] = (10, 20),
+    cut: float = 5,
+) -> Bundle:
     """A thick ellipsoid of revolution about z, semi-axes across and along it, cut off above z = ``cut``; tags INNER, OUTER,
-    CUT. Both apices (negative z) are nodes."""
-
-    def level(nodes: FloatArray, axes: tuple[float, float]) -> FloatArray:
-        return np.abs(np.hypot(nodes[..., 0], nodes[..., 1]) ** 2 / axes[0] ** 2 + nodes[..., 2] ** 2 / axes[1] ** 2 - 1).max(axis=1)
+    CUT. Cells of about ``size`` mm along the inner surface, ``layers`` across the wall. A disc of triangles is taken to
+    ellipsoids between the two, middles of edges too; both apices (negative z) are nodes."""
+    length = np.pi - np.arccos(cut / inner[1])
+    # along the inner surface from the apex, by polar angle: how many cells so far
+    angle = np.linspace(0, length, 1000)
+    share = angle / length
+    local = size * np.minimum(1, np.minimum(APEX + (1 - APEX) * share / 0.4, CLAMP + (1 - CLAMP) * (1 - share) / 0.25))
+    cells = np.hypot(inner[0] * np.cos(angle), inner[1] * np.sin(angle)) * angle[1] / local
+    passed = np.concatenate([[0.0], np.cumsum((cells[1:] + cells[:-1]) / 2)])
+    rings = max(3, round(passed[-1]))
+    s = np.interp(np.linspace(0, passed[-1], rings + 1), passed, share)
+    sizes = np.interp(s, share, local)
+    counts = [max(6, round(2 * np.pi * inner[0] * np.sin(length * at) / h)) for at, h in zip(s[1:], sizes[1:], strict=True)]
+    disc, triangles = _disc(s[1:], counts)
+    flat = np.concatenate([np.column_stack([disc, np.full(len(disc), t)]) for t in np.linspace(0, 1, layers + 1)])
+    corners = np.concatenate([_split_prisms(triangles + k * len(disc), len(disc)) for k in range(layers)])
+    corners = _oriented(flat, corners)
+    pairs, middle = np.unique(np.sort(corners[:, _EDGES], axis=2).reshape(-1, 2), axis=0, return_inverse=True)
+    tets = np.concatenate([corners, len(flat) + middle.reshape(-1, 6)], axis=1)
+    # middles of the outline belong on its circle: average polar coordinates there
+    flat = np.concatenate([flat, flat[pairs].mean(axis=1)])
+    rim = np.abs(np.hypot(*flat[pairs][..., :2].transpose(2, 0, 1)) - 1).max(axis=1) < 1e-9
+    here = len(flat) - len(pairs) + np.flatnonzero(rim)
+    flat[here, :2] /= np.hypot(flat[here, 0], flat[here, 1])[:, None]
+    s, t = np.hypot(flat[:, 0], flat[:, 1]), flat[:, 2]
+    across, along = (inner[k] + t * (outer[k] - inner[k]) for k in (0, 1))
+    polar = s * (np.pi - np.arccos(cut / along))
+    radial = across * np.sin(polar) / np.maximum(s, 1e-300)
+    points = np.column_stack([radial * flat[:, 1], radial * flat[:, 0], -along * np.cos(polar)])
+    points[s < 1e-12] = np.column_stack([0 * t, 0 * t, -along])[s < 1e-12]
 
     def tag(nodes: FloatArray) -> IntArray:
         on_base = np.abs(nodes[..., 2] - cut).max(axis=1) < 1e-6
-        return np.where(on_base, CUT, np.where(level(nodes, inner) < level(nodes, outer), INNER, OUTER))
+        gap = [np.hypot(nodes[..., 0], nodes[..., 1]) ** 2 / a**2 + nodes[..., 2] ** 2 / c**2 - 1 for a, c in (inner, outer)]
+        return np.where(on_base, CUT, np.where(np.abs(gap[0]).max(axis=1) < np.abs(gap[1]).max(axis=1), INNER, OUTER))
 
-    with _model(size):
-        occ = gmsh.model.occ
-        bodies = []
-        for across, along in (outer, inner):
-            body = [(3, occ.addSphere(0, 0, 0, 1))]
-            occ.dilate(body, 0, 0, 0, across, across, along)
-            bodies.append(body)
-        shell = occ.cut(bodies[0], bodies[1])[0]
-        occ.cut(shell, [(3, occ.addBox(-50, -50, cut, 100, 100, 100))])
-        return _meshed(tag)
+    bundle = with_boundary(points, tets, tag)
+    if not (worst := curved_determinant(bundle).min()) > 0:
+        raise AnatomyError(f"An ellipsoid of {size:g} mm cells has an inverted one (determinant {worst:.3g}); try another size.")
+    return bundle
+
+
+def _disc(radii: FloatArray, counts: list[int]) -> tuple[FloatArray, IntArray]:
+    """A disc's centre and rings of so many nodes, (n, 2), and the triangles between them, (m, 3) counter-clockwise."""
+    points, triangles = [np.zeros((1, 2))], []
+    before, first = np.zeros(1), 0
+    for radius, count in zip(radii, counts, strict=True):
+        turns = np.arange(count) / count
+        start = first + len(before)
+        if len(before) == 1:
+            triangles += [[0, start + k, start + (k + 1) % count] for k in range(count)]
+        else:
+            i = j = 0  # of the inner ring and of the outer one; the nearer next node goes first
+            while i < len(before) or j < count:
+                a, b = first + i % len(before), start + j % count
+                if j < count and (i == len(before) or (j + 1) / count <= (i + 1) / len(before)):
+                    triangles.append([a, b, start + (j + 1) % count])
+                    j += 1
+                else:
+                    triangles.append([a, b, first + (i + 1) % len(before)])
+                    i += 1
+        points.append(radius * np.column_stack([np.cos(2 * np.pi * turns), np.sin(2 * np.pi * turns)]))
+        before, first = turns, start
+    return np.concatenate(points), np.array(triangles)
+
+
+def _split_prisms(bottom: IntArray, rise: int) -> IntArray:
+    """Three tetrahedra a prism, (3 m, 4), of any orientation; the top is ``rise`` numbers above. Sorted numbers make
+    neighbours agree on diagonals."""
+    a, b, c = np.sort(bottom, axis=1).T
+    ends = ((a, b, c, c + rise), (a, b, b + rise, c + rise), (a, a + rise, b + rise, c + rise))
+    return np.concatenate([np.stack(end, axis=1) for end in ends])
+
+
+def _oriented(points: FloatArray, corners: IntArray) -> IntArray:
+    """The cells, two corners exchanged where their determinant is negative."""
+    p = points[corners]
+    negative = np.linalg.det(p[:, 1:] - p[:, :1]) < 0
+    return np.where(negative[:, None], corners[:, [0, 2, 1, 3]], corners)
+
+
+def curved_determinant(bundle: Bundle) -> FloatArray:
+    """(m,) smallest determinant of each 10-node cell's map over its nodes, relative to its straight cell's."""
+    vertex = np.array([[-1.0, -1.0, -1.0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    places = np.concatenate([np.eye(4), (np.eye(4)[_EDGES[:, 0]] + np.eye(4)[_EDGES[:, 1]]) / 2])
+    i, j = _EDGES.T
+    nodes = bundle.points[bundle.tets]
+    smallest = np.full(len(nodes), np.inf)
+    for b in places:  # barycentric coordinates
+        middles = 4 * (b[i][:, None] * vertex[j] + b[j][:, None] * vertex[i])
+        gradients = np.concatenate([(4 * b - 1)[:, None] * vertex, middles])
+        smallest = np.minimum(smallest, np.linalg.det(np.einsum("mai,ak->mik", nodes, gradients)))
+    straight = np.linalg.det(nodes[:, 1:4] - nodes[:, :1])
+    return smallest / np.abs(straight)

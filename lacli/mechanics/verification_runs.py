@@ -171,7 +171,11 @@ def vertices(bundle: Bundle) -> IntArray:
 
 
 def ask(
-    bundle: Bundle, materials: FloatArray, forms: list[Form], faces: list[tuple[int, NDArray[np.bool_], FloatArray | None]], points: int = 14
+    bundle: Bundle,
+    materials: FloatArray,
+    forms: list[Form],
+    faces: list[tuple[int, NDArray[np.bool_], FloatArray | None]],
+    points: int = 14,
 ) -> tuple[list[Answer], float]:
     """Answers to ``forms`` in one run, and its CPU seconds. ``faces``: kind, which triangles (k,), their vertices'
     weights (kept, 3) or None for ones."""
@@ -186,9 +190,7 @@ def ask(
         settings = [[float(f.task), f.pressure, f.vein_spring, f.pericardium] for f in forms]
         zero, none = np.zeros((n, 3)), np.zeros(nv)
         states = [np.concatenate([f.x.T.ravel(), f.p]) for f in forms]
-        directions = [
-            np.concatenate([(zero if f.v is None else f.v).T.ravel(), none if f.dp is None else f.dp]) for f in forms
-        ]
+        directions = [np.concatenate([(zero if f.v is None else f.v).T.ravel(), none if f.dp is None else f.dp]) for f in forms]
         inputs.write_arrays(
             folder / "forms.txt",
             np.array(settings),

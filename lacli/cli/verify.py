@@ -1,0 +1,63 @@
+"""``lacli verify``: what the simulator computes beside what is known."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from lacli.cli.console import out, print_json, progress
+from lacli.mechanics.verification import Check, choose, verify
+
+
+def command(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(
+            help="Which: law, patch, pressure, spring, sphere, beam, ellipsoid, unload. Default: all.", metavar="[NAME]..."
+        ),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
+) -> None:
+    """Run the verification problems: computed, reference, error, tolerance.
+
+    Exit code 1 when a check fails. Errors are in mm for positions (beam, apices, unload), relative otherwise.
+
+    Example: lacli verify beam ellipsoid
+    """
+    chosen = choose(names or [])
+    checks: list[Check] = []
+    with progress() as bar:
+        task = bar.add_task("verify", total=len(chosen))
+        for name in chosen:
+            bar.update(task, description=f"verify {name}")
+            checks += verify(name)
+            bar.advance(task)
+    if as_json:
+        print_json([asdict(check) for check in checks])
+    else:
+        _show(checks)
+    if not all(check.passed for check in checks):
+        raise typer.Exit(1)
+
+
+def _show(checks: list[Check]) -> None:
+    table = Table(title="Verification", title_justify="left", header_style="bold")
+    for column in ("problem", "quantity"):
+        table.add_column(column, overflow="fold")
+    for column in ("computed", "reference", "error", "tolerance", "", "unknowns", "CPU s"):
+        table.add_column(column, justify="right", no_wrap=True)
+    before = ""
+    for check in checks:
+        if before not in ("", check.name):
+            table.add_section()
+        numbers = f"{check.computed:.7g}", f"{check.reference:.7g}", f"{check.error:.2e}", f"{check.tolerance:.0e}"
+        verdict = "[green]passed[/]" if check.passed else "[bold red]FAILED[/]"
+        name = check.name if check.name != before else ""
+        table.add_row(name, check.quantity, *numbers, verdict, str(check.unknowns or "-"), f"{check.cpu_s:.1f}")
+        before = check.name
+    out.print(table)
+    failed = sum(not check.passed for check in checks)
+    out.print(f"{len(checks) - failed} of {len(checks)} checks passed." if failed else f"All {len(checks)} checks passed.")
