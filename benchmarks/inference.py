@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import os
 
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")
+os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")  # before numpy is loaded
 
+import functools
 import sys
 import time
 import warnings
@@ -64,8 +64,18 @@ def accuracy() -> None:
         ise = np.array([s.ise for s in scores])
         nlpd = float(np.mean([s.nlpd for s in scores]))
         where = f"(folds of seed {seed})"
-        line(f"five-fold R2, mean and worst {where}", ">= 0.985, 0.975", f"{r2.mean():.4f}, {r2.min():.4f}", r2.mean() >= 0.985 and r2.min() >= 0.975)
-        line(f"ISE of every output {where}", "0.93 - 0.98", " ".join(f"{v:.3f}" for v in ise), bool(((ise >= 0.93) & (ise <= 0.98)).all()))
+        line(
+            f"five-fold R2, mean and worst {where}",
+            ">= 0.985, 0.975",
+            f"{r2.mean():.4f}, {r2.min():.4f}",
+            r2.mean() >= 0.985 and r2.min() >= 0.975,
+        )
+        line(
+            f"ISE of every output {where}",
+            "0.93 - 0.98",
+            " ".join(f"{v:.3f}" for v in ise),
+            bool(((ise >= 0.93) & (ise <= 0.98)).all()),
+        )
         line(f"NLPD, mean {where}", "<= -0.87", f"{nlpd:.2f}", nlpd <= -0.87)
 
 
@@ -90,7 +100,12 @@ def training() -> None:
             GaussianProcessRegressor(kernel, n_restarts_optimizer=2, normalize_y=True, random_state=0).fit(u, y)
         theirs.append(time.process_time() - begin)
     a, b = float(np.mean(ours)), float(np.mean(theirs))
-    line("training, CPU s per emulator, n = 176 (scales, 3 starts, calibration)", "<= scikit-learn (3 starts)", f"{a:.2f} against {b:.2f} ({b / a:.1f} x)", a <= b)
+    line(
+        "training, CPU s per emulator, n = 176 (scales, 3 starts, calibration)",
+        "<= scikit-learn (3 starts)",
+        f"{a:.2f} against {b:.2f} ({b / a:.1f} x)",
+        a <= b,
+    )
     line("repeat identical", "bit for bit", str(same), same)
 
 
@@ -116,7 +131,10 @@ def sobol() -> None:
     pi = np.pi
     v = np.array([0.5 * (1 + 0.1 * pi**4 / 5) ** 2, 49 / 8, 8 * 0.01 * pi**8 / 225])
     s = function_indices(ishigami, np.full(3, -pi), np.full(3, pi), 2**15)
-    off = max(np.abs(s.s1[0] - [v[0] / v.sum(), v[1] / v.sum(), 0]).max(), np.abs(s.st[0] - [(v[0] + v[2]) / v.sum(), v[1] / v.sum(), v[2] / v.sum()]).max())
+    off = max(
+        np.abs(s.s1[0] - [v[0] / v.sum(), v[1] / v.sum(), 0]).max(),
+        np.abs(s.st[0] - [(v[0] + v[2]) / v.sum(), v[1] / v.sum(), v[2] / v.sum()]).max(),
+    )
     line("Ishigami, all indices, N = 32768", "within 0.01", f"{off:.5f}", off < 0.01)
     a = np.array([0.0, 0.5, 3.0, 9.0, 99.0, 99.0])
     s = function_indices(lambda x: np.prod((np.abs(4 * x - 2) + a) / (1 + a), axis=1)[:, None], np.zeros(6), np.ones(6), 2**15)
@@ -128,7 +146,9 @@ def sobol() -> None:
     y = np.stack([ishigami(block) for block in points])
     ours = sobol_indices(y, seed=9)
     theirs = salib.analyze({"num_vars": 3, "names": list("abc"), "bounds": [[-pi, pi]] * 3}, y[..., 0].T.ravel(), seed=9)
-    off = max(np.nanmax(np.abs(theirs[k] - getattr(ours, k.lower())[0])) for k in ("S1", "ST", "S2", "S1_conf", "ST_conf", "S2_conf"))
+    off = max(
+        np.nanmax(np.abs(theirs[k] - getattr(ours, k.lower())[0])) for k in ("S1", "ST", "S2", "S1_conf", "ST_conf", "S2_conf")
+    )
     line("equal to SALib, indices and intervals", "1e-12", f"{off:.1e}", off < 1e-12)
 
 
@@ -153,7 +173,7 @@ def wave() -> None:
         w = Wave(emulators, Targets(emulators.outputs, truth, np.full(7, sd)), 3.0)
         w.below(region.box.uniform(100, np.random.default_rng(0)), 1.0)
         swept = sweep(region.add(w))
-        t = cpu(lambda w=w: region.add(w).below(swept.points, 1.0))
+        t = cpu(functools.partial(region.add(w).below, swept.points, 1.0))
         line(f"one wave: 100,000 points, 7 outputs, n = 200 ({swept.share:.2g} left)", "<= 1 s", f"{t:.3f} s", t <= 1.0)
 
 
@@ -164,7 +184,12 @@ def region() -> None:
         begin = time.process_time()
         s = r.sample(10_000)
         t = time.process_time() - begin
-        line(f"10,000 points of a region of {s.volume:.1e} ± {s.volume_sd:.0e} of a 9-box", f"<= {limit:g} s", f"{t:.1f} s (correlation {s.correlation:.2f})", t <= limit)
+        line(
+            f"10,000 points of a region of {s.volume:.1e} ± {s.volume_sd:.0e} of a 9-box",
+            f"<= {limit:g} s",
+            f"{t:.1f} s (correlation {s.correlation:.2f})",
+            t <= limit,
+        )
 
 
 def likelihood() -> None:
@@ -192,7 +217,12 @@ def likelihood() -> None:
 
     slow = cpu(lambda: [one_at_a_time() for _ in range(3)]) / 3
     fast = cpu(lambda: [density(x) for _ in range(100)]) / 100
-    line("log-likelihood of 18 walkers, against one at a time by scikit-learn", ">= 100 x", f"{slow / fast:.0f} x ({fast * 1e3:.2f} ms)", slow >= 100 * fast)
+    line(
+        "log-likelihood of 18 walkers, against one at a time by scikit-learn",
+        ">= 100 x",
+        f"{slow / fast:.0f} x ({fast * 1e3:.2f} ms)",
+        slow >= 100 * fast,
+    )
 
 
 def mcmc() -> None:
@@ -204,7 +234,12 @@ def mcmc() -> None:
         chain = sample_posterior(Density(emulators, targets, r), Settings())
         t = time.process_time() - begin
         rate = chain.ess.min() / t
-        line(f"least ESS per CPU s, tuning included, n = 500, 7 outputs, {name} prior", ">= 100, R-hat < 1.01", f"{rate:.0f} (ESS {chain.ess.min():.0f}, R-hat {chain.rhat.max():.4f}, acceptance {chain.acceptance:.2f})", rate >= 100 and bool((chain.rhat < 1.01).all()))
+        line(
+            f"least ESS per CPU s, tuning included, n = 500, 7 outputs, {name} prior",
+            ">= 100, R-hat < 1.01",
+            f"{rate:.0f} (ESS {chain.ess.min():.0f}, R-hat {chain.rhat.max():.4f}, acceptance {chain.acceptance:.2f})",
+            rate >= 100 and bool((chain.rhat < 1.01).all()),
+        )
 
 
 def coverage(count: int = 200) -> None:
@@ -235,7 +270,12 @@ def coverage(count: int = 200) -> None:
         low, high = np.quantile(chain.flat(), [0.025, 0.975], axis=0)
         hits += (truth[0] >= low) & (truth[0] <= high)
     share = hits.sum() / (count * d)
-    line(f"{count} truths, {d} inputs: 95 % intervals that contain them", "92 - 98 %", f"{share:.1%}, by input {np.round(hits / count, 3)} ({time.process_time() - begin:.0f} s)", 0.92 <= share <= 0.98)
+    line(
+        f"{count} truths, {d} inputs: 95 % intervals that contain them",
+        "92 - 98 %",
+        f"{share:.1%}, by input {np.round(hits / count, 3)} ({time.process_time() - begin:.0f} s)",
+        0.92 <= share <= 0.98,
+    )
 
 
 ALL = {f.__name__: f for f in (accuracy, training, prediction, sobol, wave, region, likelihood, mcmc, coverage)}

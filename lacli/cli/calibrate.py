@@ -269,7 +269,8 @@ def _show_recovery(recoveries: list[Any], box: Box, folder: Path, figures: bool,
                 "pictures": [str(p) for p in pictures],
                 "levels": {
                     r.level: {
-                        "inside95": r.inside, "outside_posterior": r.outside_posterior, "inputs": r.rows, **document(r.calibration),
+                        "inside95": r.inside, "outside_posterior": r.outside_posterior, "inputs": r.rows,
+                        **document(r.calibration),
                     } for r in recoveries
                 },
             }

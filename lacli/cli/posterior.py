@@ -85,7 +85,8 @@ def command(
             trace_figure(chain, folder / "trace.png")
     if not chain.converged:
         err.print(
-            f"Not converged within {steps} steps: R-hat {chain.rhat.max():.3f} (asked {rhat:g}), ESS {chain.ess.min():.0f} (asked {ess:.0f})."
+            f"Not converged within {steps} steps: R-hat {chain.rhat.max():.3f} (asked {rhat:g}),"
+            f" ESS {chain.ess.min():.0f} (asked {ess:.0f})."
             " Run again with a larger --steps to go on from here.", highlight=False, soft_wrap=True,
         )  # fmt: skip
     if as_json:

@@ -43,7 +43,8 @@ def command(
     rank = s.ranking()
     rows = [
         {
-            "output": output, "input": name, "first": s.s1[i, j], "first_conf": s.s1_conf[i, j], "first_emulator_sd": s.s1_emulator_sd[i, j],
+            "output": output, "input": name, "first": s.s1[i, j], "first_conf": s.s1_conf[i, j],
+            "first_emulator_sd": s.s1_emulator_sd[i, j],
             "total": s.st[i, j], "total_conf": s.st_conf[i, j], "total_emulator_sd": s.st_emulator_sd[i, j],
         }
         for i, output in enumerate(emulators.outputs) for j, name in enumerate(emulators.inputs)

@@ -83,6 +83,12 @@ class Status:
 Monitor = Callable[[Status], None]
 
 
+def _ticker(monitor: Monitor, stage: str, wave: int, reports: list[WaveReport]) -> Callable[[int, int], None]:
+    """A function of (done, total) that tells the monitor."""
+    waves = tuple(reports)
+    return lambda done, total: monitor(Status(stage, wave, done, total, waves))
+
+
 def _quiet(status: Status) -> None:
     del status
 
@@ -135,13 +141,10 @@ def calibrate(
     while not stopped:
         number += 1
         if simulator is not None:
-            log.run(simulator, x, lambda done, total: monitor(Status("runs", number, done, total, tuple(reports))))
+            log.run(simulator, x, _ticker(monitor, "runs", number, reports))
         place = folder / f"wave_{number}"
-        fitted = itertools.count(1)
-        emulators, notes, finished_x, failed_x = _emulators(
-            log, x, targets, settings, place,
-            lambda: monitor(Status("emulators", number, next(fitted), len(targets.names), tuple(reports))),
-        )  # fmt: skip
+        tick = _ticker(monitor, "emulators", number, reports)
+        emulators, notes, finished_x, failed_x = _emulators(log, x, targets, settings, place, tick)
         wave = Wave(emulators, targets, settings.thresholds[min(number, len(settings.thresholds)) - 1])
         region = region.add(wave)
         monitor(Status("matching", number, 0, 1, tuple(reports)))
@@ -154,19 +157,9 @@ def calibrate(
                 + ". Check the targets' units and standard deviations, or widen the box."
             ) from error
         samples.append(found.sample)
-        reports.append(
-            WaveReport(
-                number,
-                len(finished_x),
-                len(failed_x),
-                wave.threshold,
-                {e.output: e.held_out_r2 for e in emulators.emulators},
-                found.share,
-                found.share_sd,
-                found.change,
-                notes,
-            )  # fmt: skip
-        )
+        r2 = {e.output: e.held_out_r2 for e in emulators.emulators}
+        counts = (len(finished_x), len(failed_x))
+        reports.append(WaveReport(number, *counts, wave.threshold, r2, found.share, found.share_sd, found.change, notes))
         monitor(Status("wave done", number, 1, 1, tuple(reports)))
         last_threshold = number >= len(settings.thresholds)
         elapsed = (time.monotonic() - begin) / 3600.0
@@ -254,7 +247,7 @@ def _same_settings(folder: Path, box: Box, targets: Targets, settings: Settings,
 
 
 def _emulators(
-    log: RunLog, x: FloatArray, targets: Targets, settings: Settings, place: Path, tick: Callable[[], None]
+    log: RunLog, x: FloatArray, targets: Targets, settings: Settings, place: Path, tick: Callable[[int, int], None]
 ) -> tuple[EmulatorSet, list[str], FloatArray, FloatArray]:
     table = log.table(x, targets.names)
     missing = [name for name in targets.names if name not in table.outputs]
@@ -263,7 +256,10 @@ def _emulators(
     table = table.select(targets.names)
     file = place / "emulators.npz"
     if not file.is_file():
-        fitted = fit_emulators(table, starts=settings.starts, seed=settings.seed, tick=tick)
+        done = itertools.count(1)
+        fitted = fit_emulators(
+            table, starts=settings.starts, seed=settings.seed, tick=lambda: tick(next(done), len(targets.names))
+        )
         save_emulators(file, EmulatorSet(table.inputs, tuple(fitted)))
     return load_emulators(file), list(table.notes), table.x, table.failed_x
 

@@ -17,6 +17,7 @@ from lacli.errors import InputError
 from lacli.inference import gp
 from lacli.inference.emulator import Emulator
 from lacli.inference.threads import one_thread
+from lacli.store import replacing
 
 FloatArray = NDArray[np.float64]
 
@@ -256,8 +257,9 @@ def _stack(emulators: Sequence[Emulator]) -> _Stack:
     stacked = np.array(roots)
     strips = tuple((int(b), np.ascontiguousarray(stacked[:, :b, a:b])) for a, b in itertools.pairwise(ends))
     return _Stack(
-        strips=strips, logged=logged, nugget=np.array([e.process.nugget for e in emulators]), low=low, high=high, exponent=np.array(exponent), linear=np.array(linear), weights=np.array(weights),
-        roots=stacked, prior=np.array([e.process.s2 + e.process.nugget for e in emulators]),
+        logged=logged, low=low, high=high, exponent=np.array(exponent), linear=np.array(linear), weights=np.array(weights),
+        roots=stacked, strips=strips, nugget=np.array([e.process.nugget for e in emulators]),
+        prior=np.array([e.process.s2 + e.process.nugget for e in emulators]),
         shift=np.array([e.shift for e in emulators]), scale=np.array([e.scale for e in emulators]),
         inflation=np.array([e.inflation for e in emulators]), log_output=np.array([e.log_output for e in emulators]),
     )  # fmt: skip
@@ -265,7 +267,6 @@ def _stack(emulators: Sequence[Emulator]) -> _Stack:
 
 def save_emulators(path: Path, emulators: EmulatorSet) -> None:
     """Write the emulators to an .npz file (numbers and names only); the file appears whole or not at all."""
-    path = Path(path)
     arrays: dict[str, Any] = {
         "format": np.array(FORMAT), "inputs": np.array(emulators.inputs), "outputs": np.array(emulators.outputs),
     }  # fmt: skip
@@ -275,11 +276,8 @@ def save_emulators(path: Path, emulators: EmulatorSet) -> None:
             f"{i}_scales": np.array([e.log_output, e.shift, e.scale, e.inflation, e.held_out_r2, e.process.objective], float),
             f"{i}_theta": e.process.theta, f"{i}_u": e.process.u, f"{i}_y": e.process.y, f"{i}_noise": e.process.noise,
         }  # fmt: skip
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(path.name + ".part")
-    with temporary.open("wb") as stream:
+    with replacing(Path(path)) as temporary, temporary.open("wb") as stream:
         np.savez_compressed(stream, **arrays)
-    temporary.replace(path)
 
 
 def load_emulators(path: Path) -> EmulatorSet:
@@ -297,12 +295,8 @@ def load_emulators(path: Path) -> EmulatorSet:
             for i, output in enumerate(a["outputs"]):
                 log_output, shift, scale, inflation, r2, objective = (float(v) for v in a[f"{i}_scales"])
                 process = gp.condition(a[f"{i}_theta"], a[f"{i}_u"], a[f"{i}_y"], a[f"{i}_noise"], objective)
-                emulators.append(
-                    Emulator(
-                        str(output), a[f"{i}_log_inputs"], a[f"{i}_low"], a[f"{i}_high"], bool(log_output), shift, scale, inflation,
-                        r2, process,
-                    )
-                )  # fmt: skip
+                scales = (a[f"{i}_log_inputs"], a[f"{i}_low"], a[f"{i}_high"], bool(log_output))
+                emulators.append(Emulator(str(output), *scales, shift, scale, inflation, r2, process))
             return EmulatorSet(tuple(str(name) for name in a["inputs"]), tuple(emulators))
     except (KeyError, ValueError, OSError, zipfile.BadZipFile, np.linalg.LinAlgError) as error:
         raise InputError(f"{path}: not an emulator file, or a damaged one ({error}). Run `lacli emulate` again.") from error

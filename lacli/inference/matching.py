@@ -79,7 +79,7 @@ class Wave:
             x = low + np.random.default_rng(0).random((512, len(low))) * (high - low)
             order = np.argsort(-np.median(self.implausibility(x), axis=0), kind="stable")
             object.__setattr__(self, "_cached_order", [int(j) for j in order])
-        return self._cached_order  # type: ignore[attr-defined, no-any-return]
+        return self._cached_order  # type: ignore[attr-defined]
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ class EnsemblesMove(Move):
     def propose(self, model: Any, state: Any) -> tuple[Any, NDArray[np.bool_]]:
         """One step of all walkers; called by emcee, which hands over its random generator and density."""
         rng = model.random
-        count, d = state.coords.shape
+        count = len(state.coords)
         walkers = count // self.ensembles
         order = np.argsort(rng.random_sample((self.ensembles, walkers)), axis=1) + walkers * np.arange(self.ensembles)[:, None]
         half = walkers // 2

@@ -20,6 +20,7 @@ from lacli.inference.likelihood import Density
 from lacli.inference.moves import EnsemblesMove
 from lacli.inference.surrogate import fit_surrogate
 from lacli.inference.threads import single_threaded
+from lacli.store import replacing
 
 FloatArray = NDArray[np.float64]
 
@@ -296,18 +297,15 @@ def chain_key(density: Density, settings: Settings) -> str:
 
 def save_chain(path: Path, chain: Chain) -> None:
     """Write the chain to an .npz file, whole or not at all."""
-    path = Path(path)
-    temporary = path.with_name(path.name + ".part")
     name, keys, position, has_gauss, gauss = chain.random_state
     assert name == "MT19937"
-    with temporary.open("wb") as stream:
+    with replacing(Path(path)) as temporary, temporary.open("wb") as stream:
         np.savez(
             stream, format=np.array(_FORMAT), names=np.array(chain.names), samples=chain.samples, log_prob=chain.log_prob,
-            acceptance=np.array(chain.acceptance), rhat=chain.rhat, ess=chain.ess, flags=np.array([chain.converged, chain.uses_surrogate]),
-            generator=keys, generator_rest=np.array([position, has_gauss, gauss], float), tuning_points=chain.tuning_points,
-            key=np.array(chain.key),
+            acceptance=np.array(chain.acceptance), rhat=chain.rhat, ess=chain.ess, key=np.array(chain.key),
+            flags=np.array([chain.converged, chain.uses_surrogate]), tuning_points=chain.tuning_points,
+            generator=keys, generator_rest=np.array([position, has_gauss, gauss], float),
         )  # fmt: skip
-    temporary.replace(path)
 
 
 def load_chain(path: Path) -> Chain:

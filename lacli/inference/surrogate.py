@@ -18,8 +18,9 @@ _STEEP = 30.0
 class Surrogate:
     """Cubic polynomials for the emulators' means and log variances on the inputs' scales.
 
-    low, high (d,), log_inputs (d,): scale to [-1, 1]; coefficients (terms, 2 p); floor, ceiling (p,) of the log variance; threshold on the implausibility from which the density
-    is zero (infinite where that is not for these emulators to say).
+    low, high (d,), log_inputs (d,): scale to [-1, 1]; coefficients (terms, 2 p); floor, ceiling (p,) of the log
+    variance; threshold on the implausibility from which the density is zero (infinite where that is not for these
+    emulators to say).
     """
 
     density: Density

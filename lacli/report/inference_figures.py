@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,7 +77,7 @@ def sensitivity_figure(s: Sobol, inputs: Sequence[str], outputs: Sequence[str], 
 
         height = 1.2 + 0.3 * len(outputs)
         figure, axes = plt.subplots(1, 2, figsize=(7.2, height + 0.9), sharey=True)
-        image = None
+        image: Any = None
         for axis, values, title in ((axes[0], s.s1, "first-order"), (axes[1], s.st, "total")):
             image = axis.imshow(np.clip(values, 0.0, 1.0), cmap="viridis", vmin=0.0, vmax=1.0, aspect="auto")
             axis.set_xticks(
@@ -85,7 +86,7 @@ def sensitivity_figure(s: Sobol, inputs: Sequence[str], outputs: Sequence[str], 
             axis.set_yticks(range(len(outputs)), [label(n) for n in outputs], fontsize=7)
             axis.set_title(title)
             axis.tick_params(length=0)
-            for i, j in np.argwhere(values >= 0.05):
+            for i, j in np.argwhere(values >= 0.05).tolist():
                 axis.text(
                     j, i, f"{values[i, j]:.2f}", ha="center", va="center", fontsize=5.5, color="w" if values[i, j] < 0.6 else "k"
                 )
@@ -114,8 +115,8 @@ def ranking_figure(s: Sobol, inputs: Sequence[str], outputs: Sequence[str], path
         axis.set_yticks(place, [label(inputs[k]) for k in order], fontsize=7)
         reach = float((total + both).max())
         for p, k in zip(place, order, strict=True):
-            axis.text(reach * 1.03, p, label(outputs[best[k]]).split(" (")[0], va="center", fontsize=6, color="0.35")
+            axis.text(reach * 1.03, float(p), label(outputs[best[k]]).split(" (")[0], va="center", fontsize=6, color="0.35")
         axis.set_xlim(0.0, reach * 1.35)
         axis.set_xlabel("Sobol' index on the output named (95 %)")
-        axis.legend(fontsize=6.5, loc="lower right", bbox_to_anchor=(0.8, 0.0))
+        axis.legend(fontsize=6.5, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
         return save(figure, path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +41,7 @@ def region_figure(region: Region, path: Path, seed: int = 0, sample: FloatArray 
 
         size = min(7.2, 0.9 * d + 1.0)
         figure, axes = plt.subplots(d, d, figsize=(size, size + 0.4), squeeze=False)
-        figure.get_layout_engine().set(**dict.fromkeys(("w_pad", "h_pad"), 0.01), **dict.fromkeys(("wspace", "hspace"), 0.03))
+        _tight(figure)
         least = depth = None
         for i in range(d):
             for j in range(d):
@@ -84,6 +85,11 @@ def region_figure(region: Region, path: Path, seed: int = 0, sample: FloatArray 
         return save(figure, path)
 
 
+def _tight(figure: Any) -> None:
+    """Little room between many small panels."""
+    figure.get_layout_engine().set(w_pad=0.01, h_pad=0.01, wspace=0.03, hspace=0.03)
+
+
 def outputs_figure(waves: Sequence[tuple[str, EmulatorSet, FloatArray]], targets: Targets, path: Path) -> Path:
     """Outputs over what each wave left (name, emulators, points (m, d)), as violins against the target ± 1 and 3 sd."""
     with paper():
@@ -102,7 +108,7 @@ def outputs_figure(waves: Sequence[tuple[str, EmulatorSet, FloatArray]], targets
             axis.axhspan(mu - sd, mu + sd, color=TARGET, alpha=0.25, lw=0)
             axis.axhline(mu, color=TARGET, lw=0.8)
             parts = axis.violinplot([v[:, j] for v in values], showextrema=False, widths=0.8)
-            for body in parts["bodies"]:  # type: ignore[attr-defined]
+            for body in parts["bodies"]:
                 body.set_facecolor(INK)
                 body.set_alpha(0.6)
             axis.set_xticks(range(1, len(waves) + 1), [name for name, _, _ in waves], fontsize=7)

@@ -32,7 +32,7 @@ def corner_figure(chain: Chain, best: FloatArray, box: Box, path: Path, truth: F
         with plt.rc_context({"figure.constrained_layout.use": False, "axes.linewidth": 0.5}):
             figure = plt.figure(figsize=(size, size))
             corner.corner(
-                flat[keep], fig=figure, bins=24, smooth=1.0, color=INK, plot_datapoints=False, fill_contours=True,
+                flat[keep], fig=figure, bins=18, smooth=1.4, color=INK, plot_datapoints=False, fill_contours=True,
                 levels=(0.393, 0.865), range=list(zip(box.lower, box.upper, strict=True)), max_n_ticks=3,
                 labels=[label(n).replace(" (", "\n(") for n in box.names], label_kwargs={"fontsize": 6.5}, labelpad=0.22,
                 hist_kwargs={"lw": 0.9},

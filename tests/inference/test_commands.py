@@ -39,13 +39,20 @@ def tables(tmp_path_factory):
     pd.DataFrame(x, columns=["a", "b", "c"]).to_csv(folder / "x.csv", index=False)
     y = np.c_[50 + 10 / a + 5 * c, 3 / np.sqrt(a) + c, 4 / b + 0.5 * c]
     pd.DataFrame(y, columns=["v_ml", "d_one_mm", "d_two_mm"]).to_csv(folder / "y.csv", index=False)
-    (folder / "t.toml").write_text("".join(f"[targets.{n}]\nmean = {m}\nsd = {s}\n" for n, m, s in (("v_ml", 62, 0.6), ("d_one_mm", 3.4, 0.1), ("d_two_mm", 2.2, 0.1))))
+    (folder / "t.toml").write_text(
+        "".join(
+            f"[targets.{n}]\nmean = {m}\nsd = {s}\n"
+            for n, m, s in (("v_ml", 62, 0.6), ("d_one_mm", 3.4, 0.1), ("d_two_mm", 2.2, 0.1))
+        )
+    )
     return folder
 
 
 @pytest.fixture(scope="module")
 def emulated(tables):
-    result = document("emulate", "--inputs", tables / "x.csv", "--outputs", tables / "y.csv", "--out", tables / "e.npz", "--starts", 1)
+    result = document(
+        "emulate", "--inputs", tables / "x.csv", "--outputs", tables / "y.csv", "--out", tables / "e.npz", "--starts", 1
+    )
     return tables, result
 
 
@@ -71,7 +78,9 @@ def test_sensitivity(emulated):
 
 def test_match_and_posterior(emulated):
     folder, _ = emulated
-    found = document("match", "--emulators", folder / "e.npz", "--targets", folder / "t.toml", "--out", folder / "m", "-n", 500, "--next", 12)
+    found = document(
+        "match", "--emulators", folder / "e.npz", "--targets", folder / "t.toml", "--out", folder / "m", "-n", 500, "--next", 12
+    )
     assert 0 < found["share"] < 0.2
     left = pd.read_csv(folder / "m" / "nroy.csv")
     assert len(left) == 500 and (left["implausibility"] < 3).all()
@@ -89,7 +98,16 @@ def test_match_and_posterior(emulated):
 def test_calibrate_from_a_table(tables):
     frame = pd.concat([pd.read_csv(tables / "x.csv"), pd.read_csv(tables / "y.csv")], axis=1)
     frame.assign(status="done", wave=1).to_parquet(tables / "runs.parquet", index=False)
-    result = document("calibrate", "--from-table", tables / "runs.parquet", "--targets", tables / "t.toml", "--out", tables / "c", "--no-figures")
+    result = document(
+        "calibrate",
+        "--from-table",
+        tables / "runs.parquet",
+        "--targets",
+        tables / "t.toml",
+        "--out",
+        tables / "c",
+        "--no-figures",
+    )
     assert result["stopped"] == "runs from a table" and [r["input"] for r in result["posterior"]] == ["a", "b", "c"]
     for row, truth in zip(result["posterior"], (1.0, 2.0, 0.4), strict=True):
         assert row["low95"] < truth < row["high95"]
