@@ -14,6 +14,7 @@ from lacli.anatomy.surface import Surface
 from lacli.errors import AnatomyError
 
 FloatArray = NDArray[np.float64]
+LEAST_CUT_MM = 0.5
 
 
 def lv_contact(labels: Image, lv: int, surface: Surface) -> FloatArray | None:
@@ -66,10 +67,10 @@ def mitral_from_contact(surface: Surface, contact: FloatArray) -> Opening:
     beyond = middle[int(np.argmax((middle - centre) @ normal))]
     size = float(area[patch].sum())
     ratio = float(np.linalg.norm(vectors.sum(axis=0)) / size)
-    # the plane must leave an opening: at least 1 mm under the patch's top
+    # a flat patch is cut just under its top, so that the plane does not graze it
     top = float(((middle - centre) @ normal).max())
-    if top < 1.0:
-        centre = centre - (1.0 - top) * normal
+    if top < LEAST_CUT_MM:
+        centre = centre - (LEAST_CUT_MM - top) * normal
     return Opening(
         "mv",
         centre,

@@ -105,14 +105,34 @@ def regions(bundle: Bundle, file: Path) -> None:
     label = np.asarray(surface.cell_data["label"])
 
     def draw(plotter: Any) -> None:
-        groups = [(COLOURS[n], label == v, n) for n, v in REGIONS.items()]
-        groups += [(RING, (label >= 11) & (label <= 16), "rings"), (PLANE, label >= 21, "valve planes")]
-        for colour, mine, name in groups:
+        groups = [(COLOURS[n], label == v) for n, v in REGIONS.items()]
+        groups += [(RING, (label >= 11) & (label <= 16)), (PLANE, label >= 21)]
+        for colour, mine in groups:
             if mine.any():
-                plotter.add_mesh(surface.extract_cells(mine), color=colour, smooth_shading=False, label=name)
-        plotter.add_legend(bcolor=None, face="rectangle", size=(0.26, 0.22), loc="lower left")
+                plotter.add_mesh(surface.extract_cells(mine), color=colour, smooth_shading=False)
 
     _panels(file, bundle, range(6), draw, "Regions")
+    _legend(file, {**COLOURS, "rings": RING, "valve planes": PLANE})
+
+
+def _legend(file: Path, colours: dict[str, str]) -> None:
+    """Put a legend in black letters under a picture."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+    from matplotlib.patches import Patch
+
+    pixels = plt.imread(file)
+    height, width = pixels.shape[:2]
+    figure = plt.figure(figsize=(width / 150, height / 150 + 0.4), dpi=150)
+    figure.figimage(pixels, 0, 60)
+    handles = [Patch(facecolor=colour, edgecolor="black", linewidth=0.4, label=name) for name, colour in colours.items()]
+    figure.legend(handles=handles, loc="lower center", ncol=len(colours), frameon=False, fontsize=10)
+    temporary = file.with_name(f".part-{os.getpid()}-{file.name}")
+    figure.savefig(temporary)
+    plt.close(figure)
+    temporary.replace(file)
 
 
 def fibres(bundle: Bundle, file: Path) -> None:
@@ -132,7 +152,8 @@ def fibres(bundle: Bundle, file: Path) -> None:
     reach = float(np.linalg.norm(np.ptp(bundle.points, axis=0)) / 2)
     size = float(np.median(np.linalg.norm(bundle.points[corner[:, 0]] - bundle.points[corner[:, 1]], axis=1)))
     for row, (name, (mine, side)) in enumerate(halves.items()):
-        skin = _boundary(bundle, (bundle.tags == side) | (bundle.tags >= 11))
+        rings = (bundle.tags >= 11) & (bundle.tags <= 16) if side == EPI else bundle.tags >= 21
+        skin = _boundary(bundle, (bundle.tags == side) | rings)
         for column, look in enumerate((0, 1, 2)):
             plotter.subplot(row, column)
             plotter.set_background("white")
