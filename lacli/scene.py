@@ -134,7 +134,7 @@ class Numerics(_Frozen):
     order: Literal[1, 2] = 2
     quadrature: Literal["4", "14"] = "4"
     kappa_points_kpa: NonNegative = 100.0
-    unloading_volume_tolerance: Annotated[float, Field(gt=0, lt=0.2)] = 0.005
+    unloading_volume_tolerance: Annotated[float, Field(gt=0, lt=0.2)] = 0.01
     unloading_max_sweeps: Annotated[int, Field(ge=1, le=100)] = 15
     tolerance_mm: Annotated[float, Field(gt=0, lt=0.1)] = 1e-4
     max_newton: Annotated[int, Field(ge=5, le=500)] = 40

@@ -96,14 +96,14 @@ def _tangent_checks() -> list[Check]:
     n, nv = len(bundle.points), len(vertices(bundle))
     x, X, p = _disturbed(bundle, 0.05, 1), _disturbed(bundle, 0.02, 2), 10 * random.standard_normal(nv)
     v, dp = random.standard_normal((n, 3)), 10 * random.standard_normal(nv)
-    loads = {"pressure": 2.0, "vein_spring": 1.5, "pericardium": 2.5}
+    loads = 2.0, 1.5, 2.5
     faces = [(PRESSURE, bundle.tags == 5, None), (VEINS, bundle.tags == 1, None), (PERICARDIUM, bundle.tags == 6, None)]
     checks = []
     for name, task in (("tangent", UNSYMMETRIC), ("inverse_tangent", INVERSE)):
         inverse = task == INVERSE
-        forms = [Form(task, x, X, p, v, dp, **loads)]
+        forms = [Form(task, x, X, p, v, dp, loads=loads)]
         for t in OFFSETS * h:
-            forms.append(Form(RESIDUAL, x if inverse else x + t * v, X + t * v if inverse else X, p + t * dp, **loads))
+            forms.append(Form(RESIDUAL, x if inverse else x + t * v, X + t * v if inverse else X, p + t * dp, loads=loads))
         answers, cpu = ask(bundle, TISSUE, forms, faces)
         found = np.concatenate([answers[0].tangent_force.ravel(), answers[0].tangent_gap])
         exact = difference(np.array([np.concatenate([a.force.ravel(), a.gap]) for a in answers[1:]]), h)
@@ -146,13 +146,13 @@ def pressure() -> list[Check]:
     forms = [
         Form(RESIDUAL, bundle.points @ affine.T, X, zero),
         Form(RESIDUAL, x, X, zero),
-        Form(RESIDUAL, x, X, zero, pressure=load),
+        Form(RESIDUAL, x, X, zero, loads=(load, 0.0, 0.0)),
         Form(UNSYMMETRIC, x, X, zero, v),
-        Form(UNSYMMETRIC, x, X, zero, v, pressure=load),
+        Form(UNSYMMETRIC, x, X, zero, v, loads=(load, 0.0, 0.0)),
         Form(UNSYMMETRIC, x, X, zero, w),
-        Form(UNSYMMETRIC, x, X, zero, w, pressure=load),
+        Form(UNSYMMETRIC, x, X, zero, w, loads=(load, 0.0, 0.0)),
         Form(SYMMETRIC, x, X, zero, v),
-        Form(SYMMETRIC, x, X, zero, v, pressure=load),
+        Form(SYMMETRIC, x, X, zero, v, loads=(load, 0.0, 0.0)),
         *[Form(RESIDUAL, x + t * v, X, zero) for t in OFFSETS * h],
     ]
     # soft and without volume terms, so that the wall's own forces do not hide the pressure's
@@ -191,8 +191,8 @@ def pressure() -> list[Check]:
 
 
 def spring() -> list[Check]:
-    """Springs on a turned box that moves as a whole, two meshes: force = stiffness x area x displacement; across the surface
-    the pericardium's gives stiffness x sum of areas (u.n) n, with a weight that rises along the box; outward: only the sides that u leaves through."""
+    """Springs on a turned box that moves by u as a whole, two meshes. Veins: stiffness x area x u. Pericardium: stiffness x
+    sum of areas (u.n) n, with a weight that rises along the box; outward: only over the sides that u leaves through."""
     checks = []
     turn = np.linalg.qr(np.random.default_rng(11).standard_normal((3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
@@ -210,12 +210,12 @@ def spring() -> list[Check]:
         normal = turn @ (areas * along)
         outward = turn @ (areas * np.array([float(along[0] > 0), 0.5, 0.5]) * along)
         cases = {
-            "vein_force": ((VEINS, top, None), {"vein_spring": stiffness}, areas[0] * u),
-            "pericardium_force": ((PERICARDIUM, every, weight), {"pericardium": stiffness}, normal),
-            "outward_force": ((PERICARDIUM_OUTWARD, every, weight), {"pericardium": stiffness}, outward),
+            "vein_force": ((VEINS, top, None), (0.0, stiffness, 0.0), areas[0] * u),
+            "pericardium_force": ((PERICARDIUM, every, weight), (0.0, 0.0, stiffness), normal),
+            "outward_force": ((PERICARDIUM_OUTWARD, every, weight), (0.0, 0.0, stiffness), outward),
         }
         for name, (faces, loads, exact) in cases.items():
-            form = Form(RESIDUAL, bundle.points + u, bundle.points, np.zeros(nv), **loads)
+            form = Form(RESIDUAL, bundle.points + u, bundle.points, np.zeros(nv), loads=loads)
             answers, cpu = ask(bundle, material(NEO_HOOKEAN, 1.0), [form], [faces])
             found, wanted = answers[0].force.sum(axis=0), stiffness * exact
             k = int(np.abs(found - wanted).argmax())

@@ -1,4 +1,4 @@
-"""Meshes of the verification problems, 10-node tetrahedra: boxes by hand, spheres and ellipsoids by gmsh. Lengths mm."""
+"""Meshes of the verification problems, 10-node tetrahedra: boxes and ellipsoids by hand, spheres by gmsh. Lengths mm."""
 
 from __future__ import annotations
 
@@ -153,7 +153,8 @@ def ellipsoid(
     cut: float = 5,
 ) -> Bundle:
     """A thick ellipsoid of revolution about z, semi-axes across and along it, cut off above z = ``cut``; tags INNER, OUTER,
-    CUT. Cells of about ``size`` mm along the inner surface, ``layers`` across the wall. A disc of triangles is taken to
+    CUT. Cells of about ``size`` mm along the inner surface (half of it at the apex and at the base), ``layers``
+    across the wall. A disc of triangles is taken to
     ellipsoids between the two, middles of edges too; both apices (negative z) are nodes."""
     length = np.pi - np.arccos(cut / inner[1])
     # along the inner surface from the apex, by polar angle: how many cells so far

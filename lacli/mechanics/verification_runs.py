@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -140,7 +141,8 @@ def solve(setup: Setup) -> Solution:
 
 @dataclass(frozen=True)
 class Form:
-    """A question to the engine: positions x, reference X (n, 3), vertex pressures p; direction v (n, 3), dp; loads."""
+    """A question to the engine: positions x, reference X (n, 3), vertex pressures p; direction v (n, 3), dp;
+    loads: pressure (kPa), stiffness of vein springs and of the pericardium (kPa/mm)."""
 
     task: int
     x: FloatArray
@@ -148,9 +150,7 @@ class Form:
     p: FloatArray
     v: FloatArray | None = None
     dp: FloatArray | None = None
-    pressure: float = 0.0
-    vein_spring: float = 0.0
-    pericardium: float = 0.0
+    loads: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ def ask(
     bundle: Bundle,
     materials: FloatArray,
     forms: list[Form],
-    faces: list[tuple[int, NDArray[np.bool_], FloatArray | None]],
+    faces: Sequence[tuple[int, NDArray[np.bool_], FloatArray | None]],
     points: int = 14,
 ) -> tuple[list[Answer], float]:
     """Answers to ``forms`` in one run, and its CPU seconds. ``faces``: kind, which triangles (k,), their vertices'
@@ -187,7 +187,7 @@ def ask(
         for i, (kind, keep, weight) in enumerate(faces):
             files.append((kind, f"faces{i}.txt"))
             _write_faces(bundle, keep, folder / f"faces{i}.txt", weight)
-        settings = [[float(f.task), f.pressure, f.vein_spring, f.pericardium] for f in forms]
+        settings = [[float(f.task), *f.loads] for f in forms]
         zero, none = np.zeros((n, 3)), np.zeros(nv)
         states = [np.concatenate([f.x.T.ravel(), f.p]) for f in forms]
         directions = [np.concatenate([(zero if f.v is None else f.v).T.ravel(), none if f.dp is None else f.dp]) for f in forms]
