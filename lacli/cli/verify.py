@@ -44,20 +44,20 @@ def command(
 
 
 def _show(checks: list[Check]) -> None:
-    table = Table(title="Verification", title_justify="left", header_style="bold")
-    for column in ("problem", "quantity"):
-        table.add_column(column, overflow="fold")
-    for column in ("computed", "reference", "error", "tolerance", "", "unknowns", "CPU s"):
+    # a check to a line at 80 columns
+    table = Table(title="Verification", title_justify="left", header_style="bold", box=None, padding=(0, 1, 0, 0))
+    table.add_column("what", no_wrap=True)
+    for column in ("computed", "reference", "error", "asked", "", "CPU s"):
         table.add_column(column, justify="right", no_wrap=True)
     before = ""
     for check in checks:
-        if before not in ("", check.name):
-            table.add_section()
-        numbers = f"{check.computed:.7g}", f"{check.reference:.7g}", f"{check.error:.2e}", f"{check.tolerance:.0e}"
-        verdict = "[green]passed[/]" if check.passed else "[bold red]FAILED[/]"
-        name = check.name if check.name != before else ""
-        table.add_row(name, check.quantity, *numbers, verdict, str(check.unknowns or "-"), f"{check.cpu_s:.1f}")
-        before = check.name
+        if check.name != before:
+            unknowns = f" ({check.unknowns} unknowns)" if check.unknowns else ""
+            table.add_row(f"[bold]{check.name}[/]{unknowns}")
+            before = check.name
+        numbers = f"{check.computed:.6g}", f"{check.reference:.6g}", f"{check.error:.1e}", f"{check.tolerance:.0e}"
+        verdict = "[green]ok[/]" if check.passed else "[bold red]FAIL[/]"
+        table.add_row(f"  {check.quantity}", *numbers, verdict, f"{check.cpu_s:.1f}")
     out.print(table)
     failed = sum(not check.passed for check in checks)
     out.print(f"{len(checks) - failed} of {len(checks)} checks passed." if failed else f"All {len(checks)} checks passed.")

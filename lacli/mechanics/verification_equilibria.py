@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lacli.anatomy.bundle import Bundle
+from lacli.errors import SimulationError
 from lacli.mechanics import verification_problems as meshes
 from lacli.mechanics.verification_runs import GUCCIONE, NEO_HOOKEAN, UNSYMMETRIC, Check, Setup, Solution, compare, material, solve
 
@@ -127,8 +128,9 @@ UNLOAD_PRESSURE = 1.0  # 7.5 mmHg, in the middle of what end-diastole has
 
 
 def unload() -> list[Check]:
-    """A shell is loaded, its loaded shape is taken for an image, and the shape at rest is found again: by backward
-    displacement as simulations do, and as an inverse problem; loading what was found gives the image back. mm."""
+    """A shell is loaded, its loaded shape is taken for an image, and the shape at rest is found again, by the backward
+    displacement of simulations (which filters: it leaves a shape error) and as an inverse problem (exact); loading the
+    latter gives the image back. Distances in mm, over all nodes."""
     bundle = meshes.ellipsoid(5.0)
     tissue = material(GUCCIONE, 1.7, (4.0, 4.0, 4.0), 100.0, 900.0)
     setup = Setup(bundle, tissue, clamp(bundle, meshes.CUT), UNLOAD_PRESSURE, (meshes.INNER,), points=4, unload=True)
@@ -136,16 +138,16 @@ def unload() -> list[Check]:
     image, original = solution.states["loaded"]
     cost = solution.unknowns, solution.cpu_s
 
-    def worst(a: FloatArray, b: FloatArray) -> float:
-        return float(np.linalg.norm(a - b, axis=1).max())
+    def apart(a: FloatArray, b: FloatArray) -> FloatArray:
+        return np.linalg.norm(a - b, axis=1)
 
-    moved = worst(image, original)
-    assert moved > 1.0, "the load does not move the shell, so nothing is tested"
-    volume, *_ = solution.other["unloaded"]
-    found, again = solution.states["unloaded"][1], solution.states["reloaded"][0]
+    if not apart(image, original).max() > 1.0:
+        raise SimulationError("no_load", "The load does not move the shell, so nothing is tested.")
+    volume, mean, *_ = solution.other["unloaded"]
+    reference, reloaded = solution.states["inverse"][1], solution.states["reloaded"][0]
     return [
-        compare("unload", "ed_volume_error", volume, 0.0, 1e-4, *cost),
-        compare("unload", "shape_at_rest_mm", worst(found, original), 0.0, 0.01, *cost),
-        compare("unload", "shape_reloaded_mm", worst(again, image), 0.0, 0.01, *cost),
-        compare("unload", "inverse_shape_at_rest_mm", worst(solution.states["inverse"][1], original), 0.0, 1e-6, *cost),
+        compare("unload", "ed_volume_error", volume, 0.0, 0.01, *cost),
+        compare("unload", "ed_shape_mean_mm", mean, 0.0, 0.3, *cost),
+        compare("unload", "inverse_rest_max_mm", float(apart(reference, original).max()), 0.0, 1e-6, *cost),
+        compare("unload", "reloaded_max_mm", float(apart(reloaded, image).max()), 0.0, 1e-6, *cost),
     ]

@@ -94,7 +94,7 @@ class Setup:
     move_limit: float = 2.0
     viscosity: float = 0.3
     unload: bool = False
-    volume_tolerance: float = 1e-5
+    volume_tolerance: float = 1e-3
     max_sweeps: int = 60
 
 
