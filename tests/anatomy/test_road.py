@@ -94,7 +94,7 @@ def test_landmarks_go_out_and_in_and_win(built: build.Built, made: synthetic_ima
         landmarks.read(tmp_path / "odd.toml")
 
 
-def test_a_missing_vein_is_refused_and_a_fifth_one_closed(made: synthetic_image.SyntheticImages) -> None:
+def test_a_missing_vein_is_refused(made: synthetic_image.SyntheticImages) -> None:
     cut = next(c for c in synthetic.sized(SEED).cuts() if c.label == PLANES["lipv"])
     labels = made.labels
     index = np.argwhere(labels.array == 2)
