@@ -112,7 +112,7 @@ def solve_sphere(
     return solution, np.linalg.norm(solution.states["loaded"][0][inside], axis=1)
 
 
-def sphere(size: float = 1.6) -> list[Check]:
+def sphere(size: float = 1.5) -> list[Check]:
     """An incompressible neo-Hookean sphere at two pressures against the exact radius; the worst node counts."""
     bundle = meshes.sphere(*SPHERE_RADII, size)
     checks = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +11,13 @@ import pytest
 from scipy.integrate import quad
 from typer.testing import CliRunner
 
+from lacli import resources
 from lacli.cli.main import build
 from lacli.errors import SimulationError, UsageError
-from lacli.mechanics import verification, verification_equilibria, verification_forms, verification_laws
+from lacli.mechanics import verification, verification_equilibria, verification_forms, verification_laws, verification_runs
 from lacli.mechanics import verification_problems as meshes
-from lacli.mechanics.freefem import FreeFem
+from lacli.mechanics.freefem import FreeFem, compile_plugin
+from lacli.mechanics.simulation import PLUGIN_FLAGS
 from lacli.mechanics.verification_runs import GUCCIONE, Setup, compare, material, solve
 
 
@@ -191,3 +194,37 @@ def test_sphere_converges(freefem: FreeFem) -> None:
         worst.append(np.abs(radii / 13.0 - 1).max())
     # at least of second order in the cells' size
     assert worst[1] < worst[0] / 4
+
+
+# a slip in the engine -> the problem that must find it
+SLIPS = {
+    "law.hpp": [
+        ("2.0 * m.b2 * gg", "1.99 * m.b2 * gg", "law"),
+        ("0.5 * m.b2 * Ff[i] * Ff[j] + 0.5", "0.5 * m.b2 * Ff[i] * Ff[j] + 0.499", "law"),
+        ("2.0 * m.c * (F[i][j] - r.Fit[i][j])", "2.0 * m.c * (F[i][j] - 0.999 * r.Fit[i][j])", "law"),
+    ],
+    "elements.hpp": [
+        ("meanL[c] += w * L[c];", "meanL[c] += w * L[c], s.R[4 * c + 3] += 1e-6 * w;", "patch"),
+        ("const double w = rule.w[q] * JX;", "const double w = rule.w[q] * (0.999 * JX + 0.001);", "patch"),
+        ("(V[j] - Vf * f[j])", "V[j]", "patch"),
+        ("value * w * N[a] * t[i]", "value * w * N[a] * (t[i] + 1e-6 * x1[i])", "pressure"),
+        ("(d2[b] * c1[i][j] - d1[b] * c2[i][j])", "(d2[b] * c1[i][j] + d1[b] * c2[i][j])", "pressure"),
+        ("s.area += w * area;", "s.area += w * area, k *= 1.0001;", "spring"),
+        ("&& un <= 0", "&& un < -1e9", "spring"),
+    ],
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("file", "old", "new", "finds"), [(f, *slip) for f, slips in SLIPS.items() for slip in slips])
+def test_slips_in_the_engine_are_found(
+    freefem: FreeFem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str, old: str, new: str, finds: str
+) -> None:
+    folder = tmp_path / "plugin"
+    shutil.copytree(resources.folder("solvers") / "freefem" / "plugin", folder)
+    text = (folder / file).read_text()
+    assert old in text
+    (folder / file).write_text(text.replace(old, new))
+    built = compile_plugin(freefem, folder / "lacli.cpp", tmp_path / "cache", PLUGIN_FLAGS)
+    monkeypatch.setattr(verification_runs, "plugin", lambda: built)
+    assert not all(check.passed for check in verification.verify(finds))
