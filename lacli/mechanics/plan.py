@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from lacli.anatomy.bundle import EPI, REGIONS, RINGS, Bundle
 from lacli.errors import AnatomyError
 from lacli.motion.annulus import Motion
-from lacli.scene import Scene
+from lacli.scene import MMHG_KPA, Scene
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ def make_plan(scene: Scene, bundle: Bundle, motion: Motion | None) -> Plan:
 
 def _title(scene: Scene, moving: bool, veins: bool, pericardium: bool) -> str:
     parts = [f"pressure {scene.loads.edp_mmhg:g} to {scene.loads.esp_mmhg:g} mmHg", scene.materials.law.replace("_", "-")]
-    parts += ["annulus moves"] if moving else ["annulus held"]
+    parts += ["annulus moves"] if moving else ["ring held"]
     parts += ["vein springs"] if veins else []
     parts += ["pericardium"] if pericardium else []
     return ", ".join(parts)
@@ -89,8 +90,6 @@ def es_time(scene: Scene, motion: Motion | None) -> float:
 def pressure_kpa(scene: Scene, motion: Motion | None, time: float) -> float:
     """Idealised transient: EDP -> ESP linearly up to end-systole, back over half of what is left, then constant; or the
     scene's own ``transient_mmhg``, scaled by nothing."""
-    from lacli.scene import MMHG_KPA
-
     given = scene.loads.transient_mmhg
     if given is not None:
         times, values = np.array(given).T
@@ -109,7 +108,7 @@ def _phases(scene: Scene, motion: Motion | None) -> tuple[Phase, ...]:
     times = list(np.linspace(0.0, es, count + 1))
     if scene.outputs.conduit:
         times += list(np.linspace(es, 1.0, max(4, count) + 1)[1:])
-    for index, (start, end) in enumerate(zip(times[:-1], times[1:], strict=True)):
+    for index, (start, end) in enumerate(itertools.pairwise(times)):
         reservoir = end <= es + 1e-12
         phases.append(
             Phase(
@@ -142,7 +141,7 @@ def describe(scene: Scene, bundle: Bundle) -> list[tuple[str, bool, str]]:
         (
             "pericardium",
             plan.pericardium,
-            f"k_peri is {scene.pericardium.k_peri_kpa_per_um:g} kPa/um, PTH {scene.pericardium.pth:g}",
+            f"{scene.pericardium.k_peri_kpa_per_um:g} kPa/um, PTH {scene.pericardium.pth:g}",
         ),
         ("outward only", plan.pericardium and plan.outward_only, "pericardium.outward_only"),
         ("transient", scene.outputs.frames > 1, f"outputs.frames is {scene.outputs.frames}"),

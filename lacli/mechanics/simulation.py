@@ -20,7 +20,7 @@ from lacli.errors import AnatomyError, SimulationError, SolverMissingError
 from lacli.mechanics import freefem, inputs
 from lacli.mechanics.accuracy import known_errors
 from lacli.mechanics.deck import render
-from lacli.mechanics.features import cavity_volume_ml, displacements_mm, regional_extras
+from lacli.mechanics.features import cavity_volume_ml, cell_gradient, displacements_mm, regional_extras
 from lacli.mechanics.plan import Plan, make_plan
 from lacli.motion import annulus
 from lacli.motion.annulus import Motion
@@ -63,7 +63,7 @@ def plugin() -> Path:
     built = freefem.build_plugin(found, resources.folder("solvers") / "freefem" / "plugin" / "lacli.cpp", flags=PLUGIN_FLAGS)
     if built is None:
         obstacle = freefem.plugin_obstacle(found) or (
-            "the solver's C++ part does not compile; most often MUMPS' headers are missing: sudo apt-get install -y libmumps-seq-dev"
+            "the solver's C++ part does not compile; install MUMPS' headers: sudo apt-get install -y libmumps-seq-dev"
         )
         raise SolverMissingError(f"{obstacle}. `lacli doctor` says more.")
     return built
@@ -121,7 +121,11 @@ def _simulate(
 
     solvers = resources.folder("solvers") / "freefem"
     outcome = freefem.run(freefem.find(), script, folder, scene.numerics.timeout_s, listen, includes=(solvers,))
-    usage = {"cpu_s": outcome.cpu_s, "peak_memory_mb": outcome.peak_memory_mb, "versions": {"freefem": freefem.find().version}}
+    usage: dict[str, Any] = {
+        "cpu_s": outcome.cpu_s,
+        "peak_memory_mb": outcome.peak_memory_mb,
+        "versions": {"freefem": freefem.find().version},
+    }
     if outcome.kind is not None:
         _keep_last_state(work, folder)
         _tidy(folder)
@@ -252,16 +256,10 @@ def write_state(bundle: Bundle, x: FloatArray, reference: FloatArray, file: Path
     kind = "tetra" if bundle.order == 1 else "tetra10"
     cell_data: dict[str, list[Any]] = {"region": [bundle.region.astype(np.int32)]}
     if bundle.fibre is not None:
-        moved = np.einsum("mij,mj->mi", _gradient(bundle, x), bundle.fibre)
+        moved = np.einsum("mij,mj->mi", cell_gradient(bundle, bundle.points, x), bundle.fibre)
         cell_data["fibre"] = [moved / np.linalg.norm(moved, axis=1, keepdims=True)]
     point_data = {"displacement": x - bundle.points, "displacement_from_unloaded": x - reference}
     meshio.Mesh(x, [(kind, bundle.tets)], point_data=point_data, cell_data=cell_data).write(file, binary=True, compression="zlib")
-
-
-def _gradient(bundle: Bundle, x: FloatArray) -> FloatArray:
-    from lacli.mechanics.features import cell_gradient
-
-    return cell_gradient(bundle, bundle.points, x)
 
 
 def _keep_last_state(bundle: Bundle, folder: Path) -> None:

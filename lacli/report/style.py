@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 # Okabe and Ito's palette: told apart by colour-blind readers, and in this order by their grey value too
 REGION_COLOURS: dict[str, str] = {
@@ -16,7 +17,7 @@ REGION_COLOURS: dict[str, str] = {
 RING_COLOUR = "#8C8C8C"
 PLANE_COLOUR = "#E4E4E4"
 
-_SETTINGS = {
+_SETTINGS: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
     "axes.titlesize": 9.0,

@@ -1,0 +1,165 @@
+"""From scene to features on a cut ball: what the deck contains, and what its results must obey."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lacli.anatomy import bundle as bundles
+from lacli.anatomy.bundle import Bundle
+from lacli.anatomy.shell import mesh_shell
+from lacli.errors import AnatomyError, SceneError
+from lacli.mechanics import deck, freefem, inputs, plan, simulation
+from lacli.mechanics.features import cavity_volume_ml, displacements_mm, regional_extras
+from lacli.scene import Scene, build_scene
+from shapes import cut_ball
+
+
+@pytest.fixture(scope="module")
+def ball() -> Bundle:
+    """A ball of 20 mm radius cut at z = 14 mm, wall 2 mm, fibres around z, pericardium from the cut (0) to the far pole (1)."""
+    bundle = mesh_shell(cut_ball(), 2.0, 9.0, order=2)
+    centre = bundle.points[bundle.tets[:, :4]].mean(axis=1)
+    fibre = np.cross([0.0, 0.0, 1.0], centre) + [1e-9, 0, 0]
+    height = np.clip((14.0 - bundle.points[:, 2]) / 34.0, 0, 1)
+    return replace(bundle, fibre=fibre / np.linalg.norm(fibre, axis=1, keepdims=True), pericardium_coordinate=height)
+
+
+@pytest.fixture(scope="module")
+def folder(ball: Bundle, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    target = tmp_path_factory.mktemp("ball")
+    bundles.save(ball, target / "bundle")
+    return target
+
+
+def scene(folder: Path, *overrides: str) -> Scene:
+    base = [
+        "motion.annulus=none",
+        "loads.vein_spring_kpa_per_um=0",
+        "pericardium.k_peri_kpa_per_um=0",
+        "numerics.order=1",
+        "loads.edp_mmhg=0",
+        "loads.esp_mmhg=6",
+        "outputs.fields=none",
+    ]
+    return build_scene({"anatomy": {"bundle": "bundle"}}, [*base, *overrides], folder=folder, where="test")
+
+
+def rendered(folder: Path, ball: Bundle, *overrides: str) -> str:
+    chosen = scene(folder, *overrides)
+    motion = simulation.scene_motion(chosen, ball)
+    return deck.render(chosen, plan.make_plan(chosen, ball, motion), Path("/tmp/lacli.so"))
+
+
+def test_the_deck_contains_only_what_the_scene_asks_for(folder: Path, ball: Bundle) -> None:
+    bare = rendered(folder, ball)
+    for word in ("pericardium", "vein", "annulus", "unload", "conduit"):
+        assert word not in bare
+    full = rendered(
+        folder, ball, "pericardium.k_peri_kpa_per_um=0.001", "motion.annulus=axial", "loads.edp_mmhg=2", "outputs.conduit=true"
+    )
+    for word in ("pericardium.txt", "annulusAt", "unloading.idp", "conduit"):
+        assert word in full
+
+
+def test_units_are_converted_once(folder: Path, ball: Bundle) -> None:
+    text = rendered(folder, ball, "pericardium.k_peri_kpa_per_um=0.002")
+    assert "pericardiumSpring = 2.0;" in text  # 0.002 kPa/um is 2 kPa/mm
+    assert repr(6 * 0.133322) in text  # 6 mmHg in kPa
+
+
+def test_a_term_left_out_equals_a_term_of_zero(folder: Path, ball: Bundle, tmp_path: Path) -> None:
+    chosen = scene(folder)
+    work = inputs.as_order(ball, 1)
+    without = plan.make_plan(chosen, work, None)
+    volumes = []
+    for name, terms in (("without", without), ("zero", replace(without, pericardium=True))):
+        place = tmp_path / name
+        place.mkdir()
+        inputs.write_inputs(work, chosen, terms, None, place)
+        (place / "deck.edp").write_text(deck.render(chosen, terms, simulation.plugin()))
+        solvers = simulation.resources.folder("solvers") / "freefem"
+        outcome = freefem.run(freefem.find(), place / "deck.edp", place, 120, includes=(solvers,))
+        assert outcome.done, outcome.message
+        table = np.loadtxt(place / "es.txt")
+        volumes.append((cavity_volume_ml(work, table[:, :3]), table[:, :3]))
+    assert volumes[0][0] == pytest.approx(volumes[1][0], rel=1e-8)
+    assert np.abs(volumes[0][1] - volumes[1][1]).max() < 1e-8
+
+
+def test_pressure_inflates_and_stiffness_resists(folder: Path, tmp_path: Path) -> None:
+    soft = simulation.run_scene(scene(folder), tmp_path)
+    stiff = simulation.run_scene(scene(folder, "materials.alpha=4"), tmp_path)
+    held = simulation.run_scene(scene(folder, "pericardium.k_peri_kpa_per_um=0.005"), tmp_path)
+    assert soft.status == stiff.status == held.status == "done"
+    assert soft.features["edv_ml"] < stiff.features["esv_ml"] < soft.features["esv_ml"]
+    assert held.features["esv_ml"] < soft.features["esv_ml"]
+    assert held.features["d_anterior_mm"] < soft.features["d_anterior_mm"]
+    assert 0.3 < soft.features["min_jacobian"] <= 1.05
+    table = np.genfromtxt(soft.folder / "transients.csv", delimiter=",", names=True, dtype=None, encoding="ascii")
+    assert table["volume_ml"][-1] == pytest.approx(soft.features["esv_ml"], rel=1e-12)
+    # the same content again is not simulated again
+    assert simulation.run_scene(scene(folder), tmp_path).manifest == soft.manifest
+
+
+@pytest.mark.slow
+def test_unloading_returns_to_the_image(folder: Path, tmp_path: Path) -> None:
+    result = simulation.run_scene(scene(folder, "numerics.order=2", "loads.edp_mmhg=3", "loads.esp_mmhg=8"), tmp_path)
+    assert result.status == "done", result.message
+    assert abs(result.features["ed_volume_error"]) < 0.01
+    assert result.features["ed_shape_error_mean_mm"] < 0.3
+    assert result.features["unloaded_volume_ml"] < result.features["edv_ml"] < result.features["esv_ml"]
+
+
+def test_a_run_out_of_time_is_kept_with_its_kind(folder: Path, tmp_path: Path) -> None:
+    result = simulation.run_scene(scene(folder, "numerics.timeout_s=0.3", "numerics.order=2", "loads.edp_mmhg=5"), tmp_path)
+    assert (result.status, result.kind) == ("failed", "timeout")
+    assert (result.folder / "solver.log").is_file()
+
+
+def test_what_the_scene_needs_and_the_bundle_lacks_is_named(folder: Path, ball: Bundle) -> None:
+    wanting = scene(folder, "loads.vein_spring_kpa_per_um=0.001")
+    with pytest.raises(AnatomyError, match="vein_spring_kpa_per_um to 0"):
+        plan.make_plan(wanting, ball, None)
+    with pytest.raises(AnatomyError, match="tag 11"):
+        plan.make_plan(scene(folder), replace(ball, tags=np.where(ball.tags == 11, 2, ball.tags)), None)
+    with pytest.raises(SceneError, match="kappa_points_kpa"):
+        scene(folder, "numerics.kappa_points_kpa=2000")
+    naked = replace(ball, fibre=None)
+    with pytest.raises(AnatomyError, match="fibre"):
+        inputs.material_table(naked, scene(folder).materials, 100.0)
+
+
+def test_features_of_known_motions(ball: Bundle) -> None:
+    shift = np.array([3.0, 0.0, 4.0])
+    moved = displacements_mm(ball, ball.points, ball.points + shift)
+    assert moved["d_global_mm"] == pytest.approx(5.0, rel=1e-12)  # |(3, 0, 4)|
+    scaled = ball.points * 1.1
+    assert cavity_volume_ml(ball, scaled) == pytest.approx(1.331 * cavity_volume_ml(ball, ball.points), rel=1e-12)  # 1.1^3
+    # a ball of 20 mm less its cap of 6 mm height: pi (4/3 r^3 - h^2 (3 r - h) / 3), in mL
+    exact = np.pi * (4 / 3 * 20**3 - 36 * (60 - 6) / 3) / 1000
+    assert cavity_volume_ml(ball, ball.points) == pytest.approx(exact, rel=0.01)
+
+
+def test_extras_of_an_affine_stretch(ball: Bundle) -> None:
+    stretched = ball.points * np.array([1.2, 1.2, 1.2])
+    extras = regional_extras(ball, ball.points, stretched)
+    assert extras["fibre_strain_anterior"] == pytest.approx(0.2, rel=1e-9)
+    assert extras["thickness_change_anterior"] == pytest.approx(0.2, rel=1e-9)
+
+
+def test_pericardium_weight_is_zero_at_the_valve_and_one_on_the_roof(folder: Path) -> None:
+    settings = scene(folder, "pericardium.pth=0.75").pericardium
+    weight = inputs.pericardium_weight(np.array([0.0, 0.55, 0.65, 0.75, 1.0]), settings)
+    # smoothstep((xi - 0.55) / 0.2): s = 0.5 gives 0.25 * (3 - 1) = 0.5
+    assert weight == pytest.approx([0, 0, 0.5, 1, 1])
+
+
+def test_a_linear_bundle_refuses_quadratic_numerics(ball: Bundle) -> None:
+    linear = inputs.as_order(ball, 1)
+    assert linear.tets.shape[1] == 4 and linear.tets.max() == len(linear.points) - 1
+    with pytest.raises(AnatomyError, match=r"numerics\.order"):
+        inputs.as_order(linear, 2)
