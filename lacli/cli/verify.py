@@ -16,7 +16,7 @@ def command(
     names: Annotated[
         list[str] | None,
         typer.Argument(
-            help="Which: law, patch, pressure, spring, sphere, beam, ellipsoid, unload. Default: all.", metavar="[NAME]..."
+            help="Which: law, patch, pressure, spring, sphere, beam, ellipsoid, unload. Default: all.", metavar="NAME"
         ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,

@@ -126,7 +126,12 @@ def solve(setup: Setup) -> Solution:
             if array is not None:
                 inputs.write_arrays(folder / file, array.T)
         choices = {key: value for key, value in vars(setup).items() if isinstance(value, (bool, int, float))}
-        choices |= {"faces": bool(setup.loaded), "start": setup.start is not None, "at": setup.at is not None}
+        choices |= {
+            "order": setup.bundle.order,
+            "faces": bool(setup.loaded),
+            "start": setup.start is not None,
+            "at": setup.at is not None,
+        }
         outcome = _run("verification.edp.j2", folder, **choices)
         words = [line.split() for line in (folder / "history.txt").read_text(encoding="ascii").splitlines()]
         history = {w[0]: [float(v) for v in w[1:]] for w in words if w}
@@ -198,7 +203,7 @@ def ask(
             np.array([f.reference.T for f in forms]),
             np.array(directions),
         )
-        outcome = _run("verification_forms.edp.j2", folder, points=points, faces=files)
+        outcome = _run("verification_forms.edp.j2", folder, order=bundle.order, points=points, faces=files)
         table = np.loadtxt(folder / "forms_out.txt").reshape(len(forms), 2 + 2 * (3 * n + nv))
     size = 3 * n + nv
     answers = []
@@ -228,14 +233,15 @@ def respond(materials: FloatArray, F: FloatArray, p: FloatArray) -> tuple[FloatA
 
 def _write_mesh(bundle: Bundle, materials: FloatArray, folder: Path) -> None:
     inputs.write_mesh(bundle, folder / "wall.mesh")
-    inputs.write_arrays(folder / "cells.txt", bundle.tets[:, inputs.CELL_ORDER])
+    inputs.write_arrays(folder / "cells.txt", bundle.tets[:, inputs.CELL_ORDER] if bundle.order == 2 else bundle.tets)
     inputs.write_arrays(folder / "points.txt", bundle.points.T)
     inputs.write_arrays(folder / "materials.txt", np.broadcast_to(materials, (len(bundle.tets), 12)))
 
 
 def _write_faces(bundle: Bundle, keep: NDArray[np.bool_], file: Path, weight: FloatArray | None = None) -> None:
     count = 3 * int(keep.sum())
-    inputs.write_arrays(file, bundle.triangles[keep][:, inputs.FACE_ORDER], np.ones(count) if weight is None else weight)
+    faces = bundle.triangles[keep][:, inputs.FACE_ORDER] if bundle.order == 2 else bundle.triangles[keep]
+    inputs.write_arrays(file, faces, np.ones(count) if weight is None else weight)
 
 
 def _run(template: str, folder: Path, **choices: Any) -> freefem.Outcome:
