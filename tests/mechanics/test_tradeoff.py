@@ -1,0 +1,52 @@
+"""Choosing numerics from measured errors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from lacli.errors import InputError
+from lacli.mechanics import accuracy
+from lacli.mechanics.tradeoff import Variant, errors, keep, recommend, reference
+from lacli.scene import Scene, build_scene
+
+
+def scene(folder: Path, order: int) -> Scene:
+    return build_scene({"anatomy": {"bundle": "b"}}, [f"numerics.order={order}"], folder=folder, where="test")
+
+
+def variant(folder: Path, mesh: str, order: int, roof: float, status: str = "done") -> Variant:
+    features = {"esv_ml": 100 + roof, "d_roof_mm": roof} if status == "done" else {}
+    chosen = scene(folder, order)
+    return Variant(mesh, accuracy.numerics_name(chosen), chosen, status, None, features, 10.0 * order, 100.0)
+
+
+def test_errors_are_kept_in_the_bundle_and_travel_with_the_result(tmp_path: Path) -> None:
+    (tmp_path / "b").mkdir()
+    variants = [variant(tmp_path, "own", 1, 3.5), variant(tmp_path, "own", 2, 3.1), variant(tmp_path, "finer", 2, 3.0)]
+    best = reference(variants)
+    assert best.mesh == "finer"
+    keep(variants, best)
+    assert accuracy.known_errors(scene(tmp_path, 1)) == pytest.approx({"esv_ml": 0.5, "d_roof_mm": 0.5})
+    assert accuracy.known_errors(scene(tmp_path, 2)) == pytest.approx({"esv_ml": 0.1, "d_roof_mm": 0.1})
+
+
+def test_the_cheapest_good_choice_is_recommended() -> None:
+    differences = {"p1_q4": {"d_roof_mm": 0.5, "esv_ml": 3.0}, "p2_q4": {"d_roof_mm": 0.1}, "p2_q14": {"d_roof_mm": 0.0}}
+    cpu = {"p1_q4": 1.0, "p2_q4": 5.0, "p2_q14": 9.0}
+    assert recommend(differences, cpu, 0.22) == "p2_q4"
+    assert recommend(differences, cpu, 0.6) == "p1_q4"
+    assert recommend({"p1_q4": {"d_roof_mm": 0.5}}, cpu, 0.22) is None
+
+
+def test_nothing_that_ended_is_no_reference(tmp_path: Path) -> None:
+    failed = variant(tmp_path, "own", 1, 0.0, "failed")
+    with pytest.raises(InputError, match="no choice"):
+        reference([failed])
+    ended = variant(tmp_path, "own", 2, 1.0)
+    assert errors(ended, ended) == {"esv_ml": 0.0, "d_roof_mm": 0.0}
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / accuracy.FILE).write_text("{")
+    with pytest.raises(InputError, match="tradeoff"):
+        accuracy.known_errors(scene(tmp_path, 1))
