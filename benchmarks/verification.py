@@ -88,9 +88,11 @@ def ellipsoid_row(
         solution, found = solve_ellipsoid(meshes.ellipsoid(size, layers), kappa, **steering)
         errors = [found[name] - z for name, (_, z) in ELLIPSOID_APICES.items()]
         volume = 100 * (found["cavity_volume"] / ELLIPSOID_VOLUME - 1)
+        # apices may be right by luck: a row counts only with its cavity within the 0.3 % asked for
+        worst = float(np.abs(errors).max()) if abs(volume) <= 0.3 else np.inf
         if series is not None:
             series.append([found[name] for name in ELLIPSOID_APICES])
-        return solution, [*[f"{e:+.4f}" for e in errors], f"{volume:+.3f}"], float(np.abs(errors).max())
+        return solution, [*[f"{e:+.4f}" for e in errors], f"{volume:+.3f}"], worst
 
     return row(f"{size:g} mm, {layers} layers, kappa {text(kappa)}", work)
 
@@ -119,7 +121,10 @@ def against(name: str, rows: Sequence[tuple[float, float] | None], asked: float)
         return
     error, seconds = min(good, key=lambda r: r[1])
     print(f"  cheapest within {asked:g} mm: {error:.4f} mm in {seconds:.2f} CPU s with preparation")
-    print("  times slower: " + ", ".join(f"{code} {cpu / seconds:.1f}" for code, cpu in OTHERS[name].items()))
+    print(
+        "  CPU s of others (their own, uniform meshes) / ours: "
+        + ", ".join(f"{code} {cpu / seconds:.1f}" for code, cpu in OTHERS[name].items())
+    )
 
 
 def refinements(quick: bool) -> Iterator[str]:
@@ -148,7 +153,7 @@ def refinements(quick: bool) -> Iterator[str]:
     ellipsoid_row(2.8, 1, viscosity=0.3, first_viscosity=0.0)
     if len(series) == 3:
         for k, (name, (_, z)) in enumerate(ELLIPSOID_APICES.items()):
-            # errors ~ h^3: between the last two meshes
+            # errors fall as h^3 (2.8 to 2.2 mm against 2.2 to 1.8 mm says so too): from the last two meshes
             last, before = series[2][k], series[1][k]
             limit = last + (last - before) / ((2.2 / 1.8) ** 3 - 1)
             print(f"  {name}: extrapolated with h^3 {limit:.4f}, reference {z}, {limit - z:+.4f} mm (aim 0.01)")
