@@ -122,7 +122,7 @@ def against(name: str, rows: Sequence[tuple[float, float] | None], asked: float)
     error, seconds = min(good, key=lambda r: r[1])
     print(f"  cheapest within {asked:g} mm: {error:.4f} mm in {seconds:.2f} CPU s with preparation")
     print(
-        "  CPU s of others (their own, uniform meshes) / ours: "
+        "  CPU s of others (on their own meshes) / ours: "
         + ", ".join(f"{code} {cpu / seconds:.1f}" for code, cpu in OTHERS[name].items())
     )
 
