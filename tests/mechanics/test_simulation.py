@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shapes import cut_ball
 
 from lacli.anatomy import bundle as bundles
 from lacli.anatomy.bundle import Bundle
@@ -15,7 +16,6 @@ from lacli.errors import AnatomyError, SceneError
 from lacli.mechanics import deck, freefem, inputs, plan, simulation
 from lacli.mechanics.features import cavity_volume_ml, displacements_mm, regional_extras
 from lacli.scene import Scene, build_scene
-from shapes import cut_ball
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +23,7 @@ def ball() -> Bundle:
     """A ball of 20 mm radius cut at z = 14 mm, wall 2 mm, fibres around z, pericardium from the cut (0) to the far pole (1)."""
     bundle = mesh_shell(cut_ball(), 2.0, 9.0, order=2)
     centre = bundle.points[bundle.tets[:, :4]].mean(axis=1)
-    fibre = np.cross([0.0, 0.0, 1.0], centre) + [1e-9, 0, 0]
+    fibre = np.cross([0.0, 0.0, 1.0], centre) + np.array([1e-9, 0.0, 0.0])
     height = np.clip((14.0 - bundle.points[:, 2]) / 34.0, 0, 1)
     return replace(bundle, fibre=fibre / np.linalg.norm(fibre, axis=1, keepdims=True), pericardium_coordinate=height)
 
