@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,6 +13,9 @@ from hypothesis import settings
 from lacli.errors import SolverMissingError
 from lacli.mechanics.freefem import FreeFem, find
 from lacli.scene import Scene, build_scene
+
+# started in the background, Python finds Ctrl-C ignored and would pass that on to everything the tests start
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # a busy machine is no reason to fail: the time of one example is not what is tested
 settings.register_profile("lacli", deadline=None)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from exact import ExactEmulators
 
 from lacli.inference.box import make_box
 from lacli.inference.design import design, farthest
@@ -11,7 +12,6 @@ from lacli.inference.feasibility import learn
 from lacli.inference.matching import Region, Wave, match, next_runs, ruled_out_by, sweep
 from lacli.inference.table import RunTable
 from lacli.inference.targets import Targets
-from tests.inference.exact import ExactEmulators
 
 BOX = make_box(["x0", "x1", "x2"], [-1, -1, -1], [1, 1, 1])
 

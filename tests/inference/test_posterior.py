@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from exact import ExactEmulators
 from scipy import stats
 
 from lacli.errors import InputError
@@ -13,7 +14,6 @@ from lacli.inference.box import make_box
 from lacli.inference.likelihood import Density, gaussian_log_likelihood
 from lacli.inference.matching import Region, Wave
 from lacli.inference.targets import Targets
-from tests.inference.exact import ExactEmulators
 
 # an ESS of 10,000 makes the sd's own Monte Carlo error 1 / sqrt(20,000) = 0.7 %
 SETTINGS = mcmc.Settings(ess=10_000.0, seed=1)
