@@ -129,7 +129,7 @@ class MotionSettings(_Frozen):
 
 
 class Numerics(_Frozen):
-    """How it is solved. The defaults are what ``lacli tradeoff`` recommends on a laptop."""
+    """How it is solved; ``lacli tradeoff`` measures what other choices cost and gain."""
 
     order: Literal[1, 2] = 2
     quadrature: Literal["4", "14"] = "4"
