@@ -137,7 +137,7 @@ class Numerics(_Frozen):
     unloading_volume_tolerance: Annotated[float, Field(gt=0, lt=0.2)] = 0.01
     unloading_max_sweeps: Annotated[int, Field(ge=1, le=100)] = 15
     tolerance_mm: Annotated[float, Field(gt=0, lt=0.1)] = 1e-4
-    max_newton: Annotated[int, Field(ge=5, le=500)] = 40
+    max_newton: Annotated[int, Field(ge=5, le=500)] = 120
     timeout_s: Positive = 3600.0
 
 
