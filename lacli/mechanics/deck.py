@@ -1,10 +1,11 @@
-"""Renders the FreeFEM script of one scene."""
+"""Renders FreeFEM scripts: that of a scene, and others from their templates."""
 
 from __future__ import annotations
 
 import math
 import re
 from pathlib import Path
+from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
@@ -12,7 +13,7 @@ from lacli import resources
 from lacli.mechanics.plan import Plan, describe
 from lacli.scene import Scene
 
-__all__ = ["describe", "render"]
+__all__ = ["describe", "render", "render_template"]
 
 
 def _number(value: object) -> object:
@@ -20,12 +21,12 @@ def _number(value: object) -> object:
     if isinstance(value, float):
         if not math.isfinite(value):
             raise ValueError("a number of the deck is not finite")
-        return repr(value)
+        return repr(float(value))
     return value
 
 
-def render(scene: Scene, plan: Plan, plugin: Path) -> str:
-    """The script as text; ``plugin`` is the compiled engine (without or with its ending .so)."""
+def render_template(template: str, plugin: Path, **choices: Any) -> str:
+    """A script as text; ``plugin`` is the compiled engine (without or with its ending .so), ``choices`` what it names."""
     name = str(plugin.with_suffix(""))
     if not re.fullmatch(r"[A-Za-z0-9_./+ -]+", name):
         raise ValueError(f"the plugin's path has characters that a FreeFEM string cannot hold: {name}")
@@ -38,11 +39,17 @@ def render(scene: Scene, plan: Plan, plugin: Path) -> str:
         finalize=_number,
         autoescape=False,
     )
+    return environment.get_template(template).render(plugin=name, **choices)
+
+
+def render(scene: Scene, plan: Plan, plugin: Path) -> str:
+    """The script of one scene as text."""
     numerics = scene.numerics
-    return environment.get_template("simulation.edp.j2").render(
+    return render_template(
+        "simulation.edp.j2",
+        plugin,
         plan=plan,
         phases=plan.phases,
-        plugin=name,
         order=numerics.order,
         points=int(numerics.quadrature),
         tolerance=numerics.tolerance_mm,

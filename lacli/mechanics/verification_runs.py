@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from numpy.typing import NDArray
 
 from lacli import resources
 from lacli.anatomy.bundle import Bundle
 from lacli.errors import SimulationError
 from lacli.mechanics import freefem, inputs
+from lacli.mechanics.deck import render_template
 from lacli.mechanics.simulation import plugin
 
 FloatArray = NDArray[np.float64]
@@ -245,15 +245,7 @@ def _write_faces(bundle: Bundle, keep: NDArray[np.bool_], file: Path, weight: Fl
 
 
 def _run(template: str, folder: Path, **choices: Any) -> freefem.Outcome:
-    environment = Environment(
-        loader=FileSystemLoader(resources.folder("templates")),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,
-    )
-    text = environment.get_template(template).render(plugin=str(plugin().with_suffix("")), **choices)
+    text = render_template(template, plugin(), **choices)
     script = folder / "deck.edp"
     script.write_text(text, encoding="utf-8")
     solvers = resources.folder("solvers") / "freefem"
