@@ -129,11 +129,18 @@ class MotionSettings(_Frozen):
 
 
 class Numerics(_Frozen):
-    """How it is solved; ``lacli tradeoff`` measures what other choices cost and gain."""
+    """How it is solved; ``lacli tradeoff`` measures what other choices cost and gain.
+
+    ``unloading``: "prestrain" gives the wall the strain that balances EDP in the image itself; "backward" looks for an unloaded
+    shape by backward displacement. ``settle_ed``: where the image's shape is no stable equilibrium, let the wall settle into
+    the nearest stable one before the reservoir phase.
+    """
 
     order: Literal[1, 2] = 2
     quadrature: Literal["4", "14"] = "4"
     kappa_points_kpa: NonNegative = 100.0
+    unloading: Literal["prestrain", "backward"] = "prestrain"
+    settle_ed: bool = False
     unloading_volume_tolerance: Annotated[float, Field(gt=0, lt=0.2)] = 0.01
     unloading_max_sweeps: Annotated[int, Field(ge=1, le=100)] = 15
     tolerance_mm: Annotated[float, Field(gt=0, lt=0.1)] = 1e-4
@@ -142,12 +149,13 @@ class Numerics(_Frozen):
 
 
 class Outputs(_Frozen):
-    """What is written beside the features at end-systole."""
+    """What is written beside the features at end-systole. ``unloaded``: also the wall without pressure, and its volume."""
 
     frames: Annotated[int, Field(ge=0, le=100)] = 0
     conduit: bool = False
     fields: Literal["none", "es", "all"] = "es"
     strain: bool = False
+    unloaded: bool = True
 
 
 class Scene(_Frozen):

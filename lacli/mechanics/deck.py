@@ -54,6 +54,7 @@ def render(scene: Scene, plan: Plan, plugin: Path) -> str:
         points=int(numerics.quadrature),
         tolerance=numerics.tolerance_mm,
         max_newton=numerics.max_newton,
+        settle_ed=numerics.settle_ed,
         volume_tolerance=numerics.unloading_volume_tolerance,
         max_sweeps=numerics.unloading_max_sweeps,
         vein_spring=scene.loads.vein_spring_kpa_per_mm,

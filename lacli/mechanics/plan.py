@@ -23,7 +23,6 @@ class Phase:
     pressure_to: float
     time_from: float
     time_to: float
-    first_step: float
 
 
 @dataclass(frozen=True)
@@ -32,6 +31,8 @@ class Plan:
 
     title: str
     unloading: bool
+    prestrain: bool
+    unloaded: bool
     moving: bool
     vein_springs: bool
     pericardium: bool
@@ -65,6 +66,8 @@ def make_plan(scene: Scene, bundle: Bundle, motion: Motion | None) -> Plan:
     return Plan(
         title=_title(scene, moving, veins, pericardium),
         unloading=scene.loads.edp_mmhg > 0,
+        prestrain=scene.loads.edp_mmhg > 0 and scene.numerics.unloading == "prestrain",
+        unloaded=scene.loads.edp_mmhg > 0 and scene.numerics.unloading == "prestrain" and scene.outputs.unloaded,
         moving=moving,
         vein_springs=veins,
         pericardium=pericardium,
@@ -103,7 +106,7 @@ def _phases(scene: Scene, motion: Motion | None) -> tuple[Phase, ...]:
     es = es_time(scene, motion)
     phases = []
     if scene.loads.edp_mmhg > 0:
-        phases.append(Phase("load", "ed", 0.0, scene.loads.edp_kpa, 0.0, 0.0, 1.0))
+        phases.append(Phase("load", "ed", 0.0, scene.loads.edp_kpa, 0.0, 0.0))
     count = max(1, scene.outputs.frames)
     times = list(np.linspace(0.0, es, count + 1))
     if scene.outputs.conduit:
@@ -118,10 +121,12 @@ def _phases(scene: Scene, motion: Motion | None) -> tuple[Phase, ...]:
                 pressure_to=pressure_kpa(scene, motion, float(end)),
                 time_from=float(start),
                 time_to=float(end),
-                first_step=0.5 if count == 1 else 1.0,
             )
         )
     return tuple(phases)
+
+
+_METHODS = {"prestrain": "the wall's strain in the image", "backward": "backward displacement"}
 
 
 def describe(scene: Scene, bundle: Bundle) -> list[tuple[str, bool, str]]:
@@ -135,7 +140,14 @@ def describe(scene: Scene, bundle: Bundle) -> list[tuple[str, bool, str]]:
     return [
         ("wall", True, f"{materials.law.replace('_', '-')}, P{scene.numerics.order} displacements, P1 pressure"),
         ("regional stiffness", regional, "the regions differ" if regional else "one stiffness everywhere"),
-        ("unloading", plan.unloading, f"EDP is {loads.edp_mmhg:g} mmHg" if plan.unloading else "EDP is 0: the image is unloaded"),
+        (
+            "unloading",
+            plan.unloading,
+            f"EDP is {loads.edp_mmhg:g} mmHg, by {_METHODS[scene.numerics.unloading]}"
+            if plan.unloading
+            else "EDP is 0: the image is unloaded",
+        ),
+        ("unloaded state", plan.unloaded or (plan.unloading and not plan.prestrain), "outputs.unloaded"),
         ("mitral motion", plan.moving, f"motion.annulus is {scene.motion.annulus!r}"),
         ("vein springs", plan.vein_springs, f"{loads.vein_spring_kpa_per_um:g} kPa/um on the right veins"),
         (

@@ -187,16 +187,17 @@ def _features(
         "edv_ml": cavity_volume_ml(bundle, states["ed"].x),
         "esv_ml": cavity_volume_ml(bundle, es.x),
         **displacements_mm(bundle, image, es.x),
-        "unloaded_volume_ml": cavity_volume_ml(bundle, es.reference),
+        "unloaded_volume_ml": _unloaded_volume(bundle, plan, states),
     }
     if plan.unloading:
-        volume, mean, p95, sweeps = history["ed_error"]
+        volume, mean, p95, iterations = history["ed_error"]
         features |= {"ed_volume_error": volume, "ed_shape_error_mean_mm": mean, "ed_shape_error_p95_mm": p95}
-        features["unloading_sweeps"] = int(sweeps)
+        features |= {"unloading_iterations": int(iterations), "ed_unstable_modes": int(history["ed_modes"][0])}
     else:
         features |= {"ed_volume_error": 0.0, "ed_shape_error_mean_mm": 0.0, "ed_shape_error_p95_mm": 0.0}
     unknowns, newton, steps, backs = (int(v) for v in history["counts"])
     features |= {
+        "es_unstable_modes": int(history["es_modes"][0]),
         "min_jacobian": min(state.min_jacobian for state in states.values()),
         "unknowns": unknowns,
         "newton_iterations": newton,
@@ -208,10 +209,19 @@ def _features(
     return features
 
 
+def _unloaded_volume(bundle: Bundle, plan: Plan, states: dict[str, State]) -> float | None:
+    """Cavity volume without pressure, mL; None where it was not asked for or did not converge."""
+    if plan.prestrain:
+        return cavity_volume_ml(bundle, states["unloaded"].x) if "unloaded" in states else None
+    return cavity_volume_ml(bundle, states["es"].reference)
+
+
 def _write_transients(bundle: Bundle, plan: Plan, states: dict[str, State], folder: Path) -> None:
     by_file = {phase.file: phase for phase in plan.phases if phase.name != "load"}
     rows = []
     for name, state in states.items():
+        if name == "unloaded":
+            continue
         phase = by_file.get(name)
         rows.append(
             {
@@ -230,15 +240,18 @@ def _write_fields(bundle: Bundle, scene: Scene, plan: Plan, states: dict[str, St
     if scene.outputs.fields == "none":
         return []
     (folder / "fields").mkdir(exist_ok=True)
-    names = ["ed", "es"] if scene.outputs.fields == "es" else list(states)
+    names = ["ed", "es"] if scene.outputs.fields == "es" else [name for name in states if name != "unloaded"]
+    free = states["unloaded"].x if "unloaded" in states else None if plan.prestrain else states["es"].reference
     times = {phase.file: phase.time_to for phase in plan.phases if phase.name != "load"}
     entries, products = [], []
     for name in names:
         file = f"fields/{name}.vtu"
-        write_state(bundle, states[name].x, states[name].reference, folder / file)
+        write_state(bundle, states[name].x, free, folder / file)
         entries.append(f'    <DataSet timestep="{times.get(name, 0.0):.6g}" file="{name}.vtu"/>')
         products.append(file)
-    write_state(bundle, states["es"].reference, states["es"].reference, folder / "fields" / "unloaded.vtu")
+    if free is not None:
+        write_state(bundle, free, free, folder / "fields" / "unloaded.vtu")
+        products.append("fields/unloaded.vtu")
     pvd = [
         '<?xml version="1.0"?>',
         '<VTKFile type="Collection" version="0.1">',
@@ -248,17 +261,20 @@ def _write_fields(bundle: Bundle, scene: Scene, plan: Plan, states: dict[str, St
         "</VTKFile>",
     ]
     write_text(folder / "fields" / "series.pvd", "\n".join(pvd) + "\n")
-    return [*products, "fields/unloaded.vtu", "fields/series.pvd"]
+    return [*products, "fields/series.pvd"]
 
 
-def write_state(bundle: Bundle, x: FloatArray, reference: FloatArray, file: Path) -> None:
-    """One state as VTU: deformed points, displacement from the image and from the unloaded state (mm), regions, fibres."""
+def write_state(bundle: Bundle, x: FloatArray, unloaded: FloatArray | None, file: Path) -> None:
+    """One state as VTU: deformed points, displacement from the image and, where known, from the unloaded state (mm), regions,
+    fibres."""
     kind = "tetra" if bundle.order == 1 else "tetra10"
     cell_data: dict[str, list[Any]] = {"region": [bundle.region.astype(np.int32)]}
     if bundle.fibre is not None:
         moved = np.einsum("mij,mj->mi", cell_gradient(bundle, bundle.points, x), bundle.fibre)
         cell_data["fibre"] = [moved / np.linalg.norm(moved, axis=1, keepdims=True)]
-    point_data = {"displacement": x - bundle.points, "displacement_from_unloaded": x - reference}
+    point_data = {"displacement": x - bundle.points}
+    if unloaded is not None:
+        point_data["displacement_from_unloaded"] = x - unloaded
     meshio.Mesh(x, [(kind, bundle.tets)], point_data=point_data, cell_data=cell_data).write(file, binary=True, compression="zlib")
 
 

@@ -27,9 +27,11 @@ struct CellSums {
 // One cell. X, x: nodes' positions; p: 4 vertex pressures; fibres: [q][3] on the parameter cell (zero: none).
 // Returns false where J or the reference map's determinant is not positive, or the law refuses.
 // viscosity: kPa/mm2, added to the tangent alone, so that it damps a step and leaves the solution.
-// G: a fictitious stretch of the material before the reference map (identity: none), F = grad x (grad X)^-1 G.
+// stretch: what the material has been through before it was in the reference X, G of 9 numbers a point (null: nothing),
+// F = grad x (grad X)^-1 G; integrals are over the unstretched volume.
 inline bool cell_integral(const TetRule &rule, const CellData &cell, const double (*X)[3], const double (*x)[3],
-                          const double *p, const double *fibres, const Mat G, double viscosity, Task task, CellSums &s) {
+                          const double *p, const double *fibres, const double *stretch, double viscosity, Task task,
+                          CellSums &s) {
   const int nn = rule.nodes;
   s.energy = 0, s.minJ = s.minJX = 1e300;
   std::memset(s.R, 0, sizeof s.R);
@@ -50,6 +52,8 @@ inline bool cell_integral(const TetRule &rule, const CellData &cell, const doubl
     s.minJX = JX < s.minJX ? JX : s.minJX;
     if (!(JX > 0)) return false;
     inverse(H, JX, Hi);
+    Mat G = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
+    if (stretch) std::memcpy(G, stretch + 9 * q, sizeof G);
     for (int i = 0; i < 3; ++i)
       for (int j = 0; j < 3; ++j) Hg[i][j] = Hi[i][0] * G[0][j] + Hi[i][1] * G[1][j] + Hi[i][2] * G[2][j];
     for (int i = 0; i < 3; ++i)
@@ -62,7 +66,14 @@ inline bool cell_integral(const TetRule &rule, const CellData &cell, const doubl
     const double *a0 = fibres + 3 * q;
     double f[3] = {0, 0, 0}, length = 0;
     if (a0[0] != 0 || a0[1] != 0 || a0[2] != 0) {
-      for (int i = 0; i < 3; ++i) f[i] = H[i][0] * a0[0] + H[i][1] * a0[1] + H[i][2] * a0[2];
+      double a[3];
+      for (int i = 0; i < 3; ++i) a[i] = H[i][0] * a0[0] + H[i][1] * a0[1] + H[i][2] * a0[2];
+      if (stretch) {                         // the fibre is one of the reference: before the stretch it was G^-1 a
+        Mat Gi;
+        inverse(G, det(G), Gi);
+        for (int i = 0; i < 3; ++i) f[i] = Gi[i][0] * a[0] + Gi[i][1] * a[1] + Gi[i][2] * a[2];
+      } else
+        std::memcpy(f, a, sizeof f);
       length = std::sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2]);
       for (int i = 0; i < 3; ++i) f[i] /= length;
     }
@@ -72,7 +83,7 @@ inline bool cell_integral(const TetRule &rule, const CellData &cell, const doubl
     s.minJ = r.J < s.minJ ? r.J : s.minJ;
     if (!fine) return false;
 
-    const double w = rule.w[q] * JX;
+    const double w = rule.w[q] * JX / (stretch ? det(G) : 1.0);
     s.energy += w * r.energy;
     double Pg[10][3], Fg[10][3];             // P g, F^-T g
     for (int a = 0; a < nn; ++a) {

@@ -8,7 +8,7 @@
 #include "ff++.hpp"
 #include "AFunction_ext.hpp"
 
-#include "elements.hpp"
+#include "prestrain.hpp"
 #include "system.hpp"
 
 using namespace lacli;
@@ -31,9 +31,9 @@ struct Problem {
   std::vector<CellData> cells;
   std::vector<double> fibres;                // per cell and point, on the parameter cell
   std::vector<Faces> faces;
-  std::vector<double> stretch;               // per cell: logarithm of the fictitious in-plane stretch, the wall's normal (3)
+  std::vector<double> stretch;               // per cell and point: stretch before the reference (9); empty: none
+  std::vector<double> anchor;                // where springs are at rest (x | y | z); empty: in the reference X
   double viscosity = 0;                      // kPa/mm2
-  double stretched = 0;                      // its share in force, 0 to 1
   double loads[4] = {0, 0, 0, 0};            // by Surface
   System system;
   Mumps mumps;
@@ -111,14 +111,23 @@ long laCells(KN<double> *const &table, KN<double> *const &image) {
   return 0;
 }
 
-// laStretch(share in force; per cell: logarithm of the in-plane stretch, normal (3); empty: keep the former)
-long laStretch(double const &share, KN<double> *const &table) {
+// laPrestrain(v, X): the stretch exp(sym grad v) on the reference X from now on, springs at rest in X - v; empty v: none
+long laPrestrain(KN<double> *const &v, KN<double> *const &reference) {
   Problem &P = *the;
-  P.stretched = share;
-  if (table->N() > 0) {
-    ffassert(table->N() == 4L * P.nt);
-    P.stretch.resize(table->N());
-    for (long i = 0; i < table->N(); ++i) P.stretch[i] = (*table)[i];
+  P.stretch.clear(), P.anchor.clear();
+  if (v->N() == 0) return 0;
+  ffassert(v->N() == 3L * P.nU);
+  P.anchor.resize(3 * P.nU);
+  for (long i = 0; i < v->N(); ++i) P.anchor[i] = (*reference)[i] - (*v)[i];
+  P.stretch.resize((size_t)P.nt * P.rule.n * 9);
+  double X[10][3], d[10][3];
+  for (int k = 0; k < P.nt; ++k) {
+    for (int a = 0; a < P.nn; ++a)
+      for (int i = 0; i < 3; ++i) {
+        const long at = (long)i * P.nU + P.nodes[k * P.nn + a];
+        X[a][i] = (*reference)[at], d[a][i] = (*v)[at];
+      }
+    prestretch(P.rule, X, d, &P.stretch[(size_t)k * P.rule.n * 9]);
   }
   return 0;
 }
@@ -178,13 +187,15 @@ void scatter(System &s, int block, int na, int nb, const double *K, int la, int 
     }
 }
 
-// laAssemble(task, y, X, R): task 0 residual, 1 and symmetric tangent, 2 and unsymmetric tangent, 3 and inverse tangent.
+// laAssemble(task, y, X, R): task 0 residual, 1 and symmetric tangent, 2 and unsymmetric tangent, 3 and inverse tangent;
+// 4 residual of the prestrain problem, where y = (v | p) and X is the image, 5 and its symmetrised tangent.
 // y = (x | y | z | p) deformed positions and pressures, X = (X | Y | Z). 0, or 1 where a cell is inverted or too far strained.
 long laAssemble(long const &mode, KN<double> *const &y, KN<double> *const &reference, KN<double> *const &residual) {
   Problem &P = *the;
   System &s = P.system;
-  const Task task = mode == 0 ? Task::residual : mode == 3 ? Task::inverse : Task::forward;
-  const bool sym = mode == 1;
+  const bool pre = mode >= 4, sym = mode == 1;
+  const Task task = mode == 0 || mode == 4 ? Task::residual : mode == 3 || mode == 5 ? Task::inverse : Task::forward;
+  const double *anchor = P.anchor.empty() ? &(*reference)[0] : P.anchor.data();
   if (task != Task::residual) s.clear(sym);
   KN<double> &R = *residual;
   R = 0.0;
@@ -200,13 +211,10 @@ long laAssemble(long const &mode, KN<double> *const &y, KN<double> *const &refer
         x[a][i] = (*y)[(long)i * P.nU + node[a]];
       }
     for (int i = 0; i < 4; ++i) p[i] = (*y)[3L * P.nU + P.pressures[4 * k + i]];
-    Mat G = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
-    if (P.stretched != 0) {
-      const double *v = &P.stretch[4 * (size_t)k], in = std::exp(P.stretched * v[0]), across = 1 / (in * in);
-      for (int i = 0; i < 3; ++i)
-        for (int j = 0; j < 3; ++j) G[i][j] = (i == j ? in : 0.0) + (across - in) * v[1 + i] * v[1 + j];
-    }
-    const bool fine = cell_integral(P.rule, P.cells[k], X, x, p, &P.fibres[(size_t)k * P.rule.n * 3], G, P.viscosity, task, c);
+    const double *fibres = &P.fibres[(size_t)k * P.rule.n * 3];
+    const double *stretch = P.stretch.empty() ? nullptr : &P.stretch[(size_t)k * P.rule.n * 9];
+    const bool fine = pre ? prestrain_integral(P.rule, P.cells[k], X, x, p, fibres, P.viscosity, mode == 5, c)
+                          : cell_integral(P.rule, P.cells[k], X, x, p, fibres, stretch, P.viscosity, task, c);
     P.minJ = std::min(P.minJ, c.minJ), P.minJX = std::min(P.minJX, c.minJX);
     if (!fine) return 1;
     P.energy += c.energy;
@@ -226,14 +234,17 @@ long laAssemble(long const &mode, KN<double> *const &y, KN<double> *const &refer
       const int *node = &set.nodes[k * m];
       for (int a = 0; a < m; ++a)
         for (int i = 0; i < 3; ++i) {
-          X[a][i] = (*reference)[(long)i * P.nU + node[a]];
-          x[a][i] = (*y)[(long)i * P.nU + node[a]];
+          const long at = (long)i * P.nU + node[a];
+          x[a][i] = pre ? (*reference)[at] : (*y)[at];
+          X[a][i] = pre ? x[a][i] - (*y)[at] : anchor[at];
         }
       face_integral(P.face, set.kind, value, &set.weight[3 * k], X, x, task, f);
       P.energy += f.energy, P.volume += f.volume;
       for (int a = 0; a < m; ++a)
         for (int i = 0; i < 3; ++i) R[(long)i * P.nU + node[a]] += f.R[3 * a + i];
       if (task == Task::residual || (set.kind == PRESSURE && task == Task::inverse)) continue;
+      for (int i = 0; i < 3 * m && pre; ++i)
+        for (int j = 0; j < 3 * m; ++j) f.K[i][j] = -f.K[i][j];  // X = image - v
       if (sym)                               // over a closed or rim-fixed cavity the halves that do not match cancel
         for (int i = 0; i < 3 * m; ++i)
           for (int j = 0; j < i; ++j) f.K[i][j] = f.K[j][i] = 0.5 * (f.K[i][j] + f.K[j][i]);
@@ -312,7 +323,7 @@ static void Load_Init() {
   MPI_Init(&argc, &argv);
   Global.Add("laMesh", "(", new OneOperator3_<long, KN<long> *, KN<long> *, KN<long> *>(laMesh));
   Global.Add("laCells", "(", new OneOperator2_<long, KN<double> *, KN<double> *>(laCells));
-  Global.Add("laStretch", "(", new OneOperator2_<long, double, KN<double> *>(laStretch));
+  Global.Add("laPrestrain", "(", new OneOperator2_<long, KN<double> *, KN<double> *>(laPrestrain));
   Global.Add("laViscosity", "(", new OneOperator1_<long, double>(laViscosity));
   Global.Add("laFaces", "(", new OneOperator3_<long, long, KN<long> *, KN<double> *>(laFaces));
   Global.Add("laFixed", "(", new OneOperator1_<long, KN<long> *>(laFixed));
