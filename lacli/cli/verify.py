@@ -16,14 +16,14 @@ def command(
     names: Annotated[
         list[str] | None,
         typer.Argument(
-            help="Which: law, patch, pressure, spring, sphere, beam, ellipsoid, unload. Default: all.", metavar="NAME"
+            help="Which: law, patch, pressure, spring, sphere, beam, ellipsoid, unload, prestrain. Default: all.", metavar="NAME"
         ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
 ) -> None:
     """Run the verification problems: computed, reference, error, tolerance.
 
-    Exit code 1 when a check fails. Errors are in mm for positions (beam, apices, unload), relative otherwise.
+    Exit code 1 when a check fails. Errors are in mm for positions (beam, apices, unload, prestrain), relative otherwise.
 
     Example: lacli verify beam ellipsoid
     """

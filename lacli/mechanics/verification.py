@@ -8,6 +8,7 @@ from lacli.errors import SimulationError, UsageError
 from lacli.mechanics.verification_equilibria import beam, ellipsoid, sphere, unload
 from lacli.mechanics.verification_forms import patch, pressure, spring
 from lacli.mechanics.verification_laws import law
+from lacli.mechanics.verification_prestrain import prestrain
 from lacli.mechanics.verification_runs import Check
 
 __all__ = ["PROBLEMS", "Check", "choose", "verify"]
@@ -22,6 +23,7 @@ PROBLEMS: dict[str, Callable[[], list[Check]]] = {
     "beam": beam,
     "ellipsoid": ellipsoid,
     "unload": unload,
+    "prestrain": prestrain,
 }
 
 
@@ -42,4 +44,4 @@ def verify(name: str) -> list[Check]:
         return PROBLEMS[name]()
     except SimulationError as error:
         nothing = float("nan")
-        return [Check(name, f"did not end: {error}", nothing, nothing, nothing, nothing, False, 0, nothing)]
+        return [Check(name, f"did not end ({error.kind})", nothing, nothing, nothing, nothing, False, 0, nothing)]

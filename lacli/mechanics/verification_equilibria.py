@@ -105,18 +105,18 @@ def sphere_pressure(inner_radius: float, radii: tuple[float, float] = SPHERE_RAD
     return 4 * c * (term(outer_radius / outer) - term(inner_radius / inner))
 
 
+def on_planes(bundle: Bundle) -> tuple[IntArray, IntArray]:
+    """The nodes on the coordinate planes, held across them."""
+    nodes = [np.flatnonzero(np.abs(bundle.points[:, axis]) < 1e-9) for axis in range(3)]
+    return np.concatenate(nodes), np.concatenate([np.full(len(k), axis) for axis, k in enumerate(nodes)])
+
+
 def solve_sphere(
     bundle: Bundle, inner_radius: float, kappa: tuple[float, float] = (0.0, 0.0), points: int = 14
 ) -> tuple[Solution, FloatArray]:
     """An octant under the pressure of ``inner_radius`` mm: the solution, and the inner nodes' radii."""
-    nodes, axes = [], []
-    for axis in range(3):
-        on_plane = np.flatnonzero(np.abs(bundle.points[:, axis]) < 1e-9)
-        nodes.append(on_plane)
-        axes.append(np.full(len(on_plane), axis))
     tissue = material(NEO_HOOKEAN, SPHERE_C, (1.0, 1.0, 1.0), *kappa)
-    held = np.concatenate(nodes), np.concatenate(axes)
-    solution = solve(Setup(bundle, tissue, held, sphere_pressure(inner_radius), (meshes.INNER,), points=points))
+    solution = solve(Setup(bundle, tissue, on_planes(bundle), sphere_pressure(inner_radius), (meshes.INNER,), points=points))
     inside = np.unique(bundle.triangles[bundle.tags == meshes.INNER])
     return solution, np.linalg.norm(solution.states["loaded"][0][inside], axis=1)
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from lacli.anatomy.bundle import Bundle
 from lacli.mechanics import inputs
 from lacli.mechanics import verification_problems as meshes
+from lacli.mechanics.verification_equilibria import on_planes
 from lacli.mechanics.verification_laws import OFFSETS, difference
 from lacli.mechanics.verification_runs import (
     GUCCIONE,
@@ -87,7 +88,7 @@ def patch() -> list[Check]:
     return checks + _tangent_checks(curved, "") + _tangent_checks(linear, "linear_") + [_uniaxial_check()]
 
 
-def _disturbed(bundle: Bundle, size: float, seed: int) -> FloatArray:
+def disturbed(bundle: Bundle, size: float, seed: int) -> FloatArray:
     """A smooth, far from affine deformation of the box, mm."""
     random = np.random.default_rng(seed)
     a, b = random.standard_normal((3, 3)), random.standard_normal((3, 3))
@@ -99,7 +100,7 @@ def _tangent_checks(bundle: Bundle, prefix: str) -> list[Check]:
     h = 1e-4
     random = np.random.default_rng(9)
     n, nv = len(bundle.points), len(vertices(bundle))
-    x, X, p = _disturbed(bundle, 0.05, 1), _disturbed(bundle, 0.02, 2), 10 * random.standard_normal(nv)
+    x, X, p = disturbed(bundle, 0.05, 1), disturbed(bundle, 0.02, 2), 10 * random.standard_normal(nv)
     v, dp = random.standard_normal((n, 3)), 10 * random.standard_normal(nv)
     loads = 2.0, 1.5, 2.5
     faces = [(PRESSURE, bundle.tags == 5, None), (VEINS, bundle.tags == 1, None), (PERICARDIUM, bundle.tags == 6, None)]
@@ -120,8 +121,7 @@ def _tangent_checks(bundle: Bundle, prefix: str) -> list[Check]:
 def _uniaxial_check() -> Check:
     """A free incompressible neo-Hookean block pushed on one end: pressure 2c (1/l - l^2) shortens it to the stretch l."""
     bundle, c, stretch = distorted_box(True), 2.0, 0.85
-    nodes = [np.flatnonzero(np.abs(bundle.points[:, axis]) < 1e-9) for axis in range(3)]
-    held = np.concatenate(nodes), np.concatenate([np.full(len(k), axis) for axis, k in enumerate(nodes)])
+    held = on_planes(bundle)
     load = 2 * c * (1 / stretch - stretch**2)
     solution = solve(Setup(bundle, material(NEO_HOOKEAN, c), held, load, (2,), task=UNSYMMETRIC, tolerance=1e-9))
     end = np.unique(bundle.triangles[bundle.tags == 2])
@@ -145,7 +145,7 @@ def pressure() -> list[Check]:
     random = np.random.default_rng(5)
     n, nv = len(bundle.points), len(vertices(bundle))
     affine = np.array([[1.1, 0.3, 0.0], [-0.1, 0.9, 0.2], [0.2, 0.1, 1.2]])
-    x, X, zero = _disturbed(bundle, 0.06, 6) @ affine.T, bundle.points, np.zeros(nv)
+    x, X, zero = disturbed(bundle, 0.06, 6) @ affine.T, bundle.points, np.zeros(nv)
     v, w = random.standard_normal((n, 3)), random.standard_normal((n, 3))
     h, load = 1e-2, 3.0
     forms = [

@@ -25,7 +25,8 @@ TIMEOUT_S = 1800.0
 GUCCIONE, NEO_HOOKEAN = 0, 1
 # kinds of faces and tasks of the engine
 PRESSURE, VEINS, PERICARDIUM, PERICARDIUM_OUTWARD = 0, 1, 2, 3
-RESIDUAL, SYMMETRIC, UNSYMMETRIC, INVERSE = 0, 1, 2, 3
+RESIDUAL, SYMMETRIC, UNSYMMETRIC, INVERSE, PRESTRAIN_RESIDUAL, PRESTRAIN = 0, 1, 2, 3, 4, 5
+KEEP_PRESTRAIN = 6  # x is the prestrain's field v; the wall has its strain for this form (residual at X) and all that follow
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,7 @@ class Setup:
     move_limit: float = 2.0
     viscosity: float = 0.3
     unload: bool = False
+    prestrain: bool = False
     volume_tolerance: float = 1e-3
     max_sweeps: int = 60
 
@@ -137,7 +139,9 @@ def solve(setup: Setup) -> Solution:
         history = {w[0]: [float(v) for v in w[1:]] for w in words if w}
         if "end" not in history:
             raise SimulationError("bad_output", "The verification problem's history is incomplete.")
-        names = ("loaded", "unloaded", "reloaded", "inverse") if setup.unload else ("loaded",)
+        names: tuple[str, ...] = ("loaded",)
+        if setup.unload or setup.prestrain:
+            names += ("unloaded", "reloaded") + (("inverse",) if setup.unload else ())
         tables = {name: np.loadtxt(folder / f"{name}.txt").reshape(-1, 6) for name in names}
     rest, volume, min_j, _, unknowns, newton, steps = history.pop("state")
     states = {name: (table[:, :3], table[:, 3:]) for name, table in tables.items()}
@@ -146,8 +150,8 @@ def solve(setup: Setup) -> Solution:
 
 @dataclass(frozen=True)
 class Form:
-    """A question to the engine: positions x, reference X (n, 3), vertex pressures p; direction v (n, 3), dp;
-    loads: pressure (kPa), stiffness of vein springs and of the pericardium (kPa/mm)."""
+    """A question to the engine: positions x (the field v of the prestrain's tasks), reference X (n, 3), vertex pressures p;
+    direction v (n, 3), dp; loads: pressure (kPa), stiffness of vein springs and of the pericardium (kPa/mm)."""
 
     task: int
     x: FloatArray
