@@ -128,7 +128,7 @@ def _compiler(freefem: FreeFem) -> Check:
     if obstacle := ff.plugin_obstacle(freefem):
         text, _, fix = obstacle.partition(": ")
         return Check(name, False, text, fix=fix)
-    from lacli.mechanics.simulation import PLUGIN_FLAGS
+    from lacli.mechanics.engine import PLUGIN_FLAGS
 
     try:
         for source in sorted(resource_folder("solvers").rglob("*.cpp")):
