@@ -16,6 +16,7 @@ from pathlib import Path
 from lacli import __version__
 from lacli.errors import SolverMissingError
 from lacli.mechanics import freefem as ff
+from lacli.mechanics.engine import PLUGIN_FLAGS, SLOWER
 from lacli.mechanics.freefem import FreeFem
 from lacli.mechanics.process import free_bytes, memory_mb
 from lacli.resources import folder as resource_folder
@@ -123,18 +124,19 @@ def _blas(freefem: FreeFem) -> Check:
     return Check("BLAS", False, text, needed=False, fix="sudo apt-get install -y libopenblas0-pthread")
 
 
+_WITHOUT = f"optional: simulations run without, with the same numbers in about {SLOWER}; `lacli verify` needs it"
+
+
 def _compiler(freefem: FreeFem) -> Check:
     name = "compiled kernels"
     if obstacle := ff.plugin_obstacle(freefem):
         text, _, fix = obstacle.partition(": ")
-        return Check(name, False, text, fix=fix)
-    from lacli.mechanics.simulation import PLUGIN_FLAGS
-
+        return Check(name, False, f"{text}; {_WITHOUT}", needed=False, fix=fix)
     try:
         for source in sorted(resource_folder("solvers").rglob("*.cpp")):
             ff.compile_plugin(freefem, source, flags=PLUGIN_FLAGS)
     except SolverMissingError as error:
-        return Check(name, False, str(error), fix=ff.INSTALL)
+        return Check(name, False, f"{error}; {_WITHOUT}", needed=False, fix=ff.INSTALL)
     return Check(name, True, f"{freefem.compiler}, kept in {ff.default_cache()}")
 
 

@@ -133,7 +133,8 @@ class Numerics(_Frozen):
 
     ``unloading``: "prestrain" gives the wall the strain that balances EDP in the image itself; "backward" looks for an unloaded
     shape by backward displacement. ``settle_ed``: where the image's shape is no stable equilibrium, let the wall settle into
-    the nearest stable one before the reservoir phase.
+    the nearest stable one before the reservoir phase. ``engine``: what assembles and solves: the compiled "plugin", the "script"
+    that needs no C++ compiler and gives the same numbers, or "auto", the plugin where it can be built.
     """
 
     order: Literal[1, 2] = 2
@@ -141,6 +142,7 @@ class Numerics(_Frozen):
     kappa_points_kpa: NonNegative = 100.0
     unloading: Literal["prestrain", "backward"] = "prestrain"
     settle_ed: bool = False
+    engine: Literal["auto", "plugin", "script"] = "auto"
     unloading_volume_tolerance: Annotated[float, Field(gt=0, lt=0.2)] = 0.01
     unloading_max_sweeps: Annotated[int, Field(ge=1, le=100)] = 15
     tolerance_mm: Annotated[float, Field(gt=0, lt=0.1)] = 1e-4

@@ -25,10 +25,11 @@ def _number(value: object) -> object:
     return value
 
 
-def render_template(template: str, plugin: Path, **choices: Any) -> str:
-    """A script as text; ``plugin`` is the compiled engine (without or with its ending .so), ``choices`` what it names."""
-    name = str(plugin.with_suffix(""))
-    if not re.fullmatch(r"[A-Za-z0-9_./+ -]+", name):
+def render_template(template: str, plugin: Path | None, **choices: Any) -> str:
+    """A script as text; ``plugin`` is the compiled engine, without or with its ending .so (None: the engine in FreeFEM's own
+    language), ``choices`` what the template names."""
+    name = str(plugin.with_suffix("")) if plugin else ""
+    if not re.fullmatch(r"[A-Za-z0-9_./+ -]*", name):
         raise ValueError(f"the plugin's path has characters that a FreeFEM string cannot hold: {name}")
     environment = Environment(
         loader=FileSystemLoader(resources.folder("templates")),
@@ -42,7 +43,7 @@ def render_template(template: str, plugin: Path, **choices: Any) -> str:
     return environment.get_template(template).render(plugin=name, **choices)
 
 
-def render(scene: Scene, plan: Plan, plugin: Path) -> str:
+def render(scene: Scene, plan: Plan, plugin: Path | None) -> str:
     """The script of one scene as text."""
     numerics = scene.numerics
     return render_template(

@@ -31,6 +31,7 @@ _CRASHES = {signal.SIGSEGV, signal.SIGABRT, signal.SIGFPE, signal.SIGBUS, signal
 _NO_MEMORY = re.compile(r"bad_alloc|cannot allocate memory|out of memory|not enough memory", re.IGNORECASE)
 _NO_SPACE = re.compile(r"no space left on device|disk quota exceeded", re.IGNORECASE)
 _TELLING = re.compile(r"(?:exec|compile|load|syntax)\s+error\s*:|assertion|error line number", re.IGNORECASE)
+_MUMPS_ERROR = re.compile(r"Erreur Mumps seq: number (-\d+)")
 _IDLE = re.compile(r"@ progress|\s*current line|(?:init|close)\s+MUMPS_SEQ")
 
 
@@ -280,6 +281,8 @@ def _judge(ended: Ended, said: list[str], timeout_s: float, folder: Path) -> tup
     memory = f"FreeFEM ran out of memory ({ended.peak_memory_mb:.0f} MB used). Run fewer side by side, or a coarser mesh."
     if ended.cut == "out_of_memory" or _NO_MEMORY.search(text):
         return "out_of_memory", memory
+    if found := _MUMPS_ERROR.search(text):
+        return "linear_solver", f"MUMPS could not solve the linear system (error {found[1]})."
     for line in said:
         if stop := parse_stop(line):
             return stop[0], stop[1] or f"The script stopped: {stop[0]}."

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from lacli import resources
 from lacli.anatomy import bundle as bundles
 from lacli.anatomy.bundle import Bundle
-from lacli.errors import AnatomyError, SimulationError, SolverMissingError
-from lacli.mechanics import freefem, inputs
+from lacli.errors import AnatomyError, SimulationError
+from lacli.mechanics import engine, freefem, inputs
 from lacli.mechanics.accuracy import known_errors
 from lacli.mechanics.deck import render
 from lacli.mechanics.features import cavity_volume_ml, cell_gradient, displacements_mm, regional_extras
@@ -29,9 +29,6 @@ from lacli.store import OpenRun, StoredRun, open_run, write_json, write_text
 
 FloatArray = NDArray[np.float64]
 OnProgress = Callable[[freefem.Progress], None]
-
-# the plugin calls MUMPS itself, to keep its analysis between factorisations
-PLUGIN_FLAGS = ("-Wl,--no-as-needed", "-march=native", "-ldmumps_seq", "-lmpiseq_seq")
 
 
 @dataclass(frozen=True)
@@ -55,18 +52,6 @@ class State:
     reference: FloatArray
     pressure: float
     min_jacobian: float
-
-
-def plugin() -> Path:
-    """The compiled engine, built at first use. Raises SolverMissingError with the command that installs what it needs."""
-    found = freefem.find()
-    built = freefem.build_plugin(found, resources.folder("solvers") / "freefem" / "plugin" / "lacli.cpp", flags=PLUGIN_FLAGS)
-    if built is None:
-        obstacle = freefem.plugin_obstacle(found) or (
-            "the solver's C++ part does not compile; install MUMPS' headers: sudo apt-get install -y libmumps-seq-dev"
-        )
-        raise SolverMissingError(f"{obstacle}. `lacli doctor` says more.")
-    return built
 
 
 def scene_motion(scene: Scene, bundle: Bundle) -> Motion | None:
@@ -112,7 +97,8 @@ def _simulate(
     moved = _renumbered(motion, bundle, scene.numerics.order)
     inputs.write_inputs(work, scene, plan, moved, folder)
     script = folder / "deck.edp"
-    write_text(script, render(scene, plan, plugin()))
+    plugin = engine.choose(scene)
+    write_text(script, render(scene, plan, plugin))
 
     def listen(line: str) -> None:
         progress = freefem.parse_progress(line)
@@ -124,6 +110,7 @@ def _simulate(
     usage: dict[str, Any] = {
         "cpu_s": outcome.cpu_s,
         "peak_memory_mb": outcome.peak_memory_mb,
+        "engine": engine.name(plugin),
         "versions": {"freefem": freefem.find().version},
     }
     if outcome.kind is not None:

@@ -16,7 +16,7 @@ from lacli.anatomy.bundle import Bundle
 from lacli.errors import SimulationError
 from lacli.mechanics import freefem, inputs
 from lacli.mechanics.deck import render_template
-from lacli.mechanics.simulation import plugin
+from lacli.mechanics.engine import plugin
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -13,7 +13,7 @@ from lacli.anatomy import bundle as bundles
 from lacli.anatomy.bundle import Bundle
 from lacli.anatomy.shell import mesh_shell
 from lacli.errors import AnatomyError, SceneError
-from lacli.mechanics import deck, freefem, inputs, plan, simulation
+from lacli.mechanics import deck, engine, freefem, inputs, plan, simulation
 from lacli.mechanics.features import cavity_volume_ml, displacements_mm, regional_extras
 from lacli.scene import Scene, build_scene
 
@@ -80,7 +80,7 @@ def test_a_term_left_out_equals_a_term_of_zero(folder: Path, ball: Bundle, tmp_p
         place = tmp_path / name
         place.mkdir()
         inputs.write_inputs(work, chosen, terms, None, place)
-        (place / "deck.edp").write_text(deck.render(chosen, terms, simulation.plugin()))
+        (place / "deck.edp").write_text(deck.render(chosen, terms, engine.plugin()))
         solvers = simulation.resources.folder("solvers") / "freefem"
         outcome = freefem.run(freefem.find(), place / "deck.edp", place, 120, includes=(solvers,))
         assert outcome.done, outcome.message

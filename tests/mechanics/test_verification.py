@@ -16,8 +16,8 @@ from lacli.cli.main import build
 from lacli.errors import SimulationError, UsageError
 from lacli.mechanics import verification, verification_equilibria, verification_forms, verification_laws, verification_runs
 from lacli.mechanics import verification_problems as meshes
+from lacli.mechanics.engine import PLUGIN_FLAGS
 from lacli.mechanics.freefem import FreeFem, compile_plugin
-from lacli.mechanics.simulation import PLUGIN_FLAGS
 from lacli.mechanics.verification_runs import GUCCIONE, Setup, compare, material, solve
 
 

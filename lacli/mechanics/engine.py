@@ -1,0 +1,61 @@
+"""What assembles and solves inside FreeFEM: a compiled plugin, or FreeFEM's own language where nothing can be compiled.
+
+Both answer the same verbs (``engine_plugin.idp``, ``engine_script.idp``) and give the same numbers.
+"""
+
+from __future__ import annotations
+
+import functools
+import logging
+from pathlib import Path
+
+from lacli import resources
+from lacli.errors import SolverMissingError
+from lacli.mechanics import freefem
+from lacli.scene import Scene
+
+# the plugin calls MUMPS itself, to keep its analysis between factorisations
+PLUGIN_FLAGS = ("-Wl,--no-as-needed", "-march=native", "-ldmumps_seq", "-lmpiseq_seq")
+SLOWER = "twice the time"  # of the script; benchmarks/engines.py: 2.0 (P1) and 2.3 (P2) times
+_logger = logging.getLogger(__name__)
+
+
+def plugin() -> Path:
+    """The compiled engine, built at first use. Raises SolverMissingError with the command that installs what it needs."""
+    found = freefem.find()
+    source = resources.folder("solvers") / "freefem" / "plugin" / "lacli.cpp"
+    try:
+        return freefem.compile_plugin(found, source, flags=PLUGIN_FLAGS)
+    except SolverMissingError as error:
+        obstacle = freefem.plugin_obstacle(found) or (
+            f"{error}. If MUMPS' headers are missing: sudo apt-get install -y libmumps-seq-dev"
+        )
+        raise SolverMissingError(f"{obstacle}. `lacli doctor` says more.") from error
+
+
+def choose(scene: Scene) -> Path | None:
+    """The compiled engine's file, or None for the script; ``numerics.engine`` decides.
+
+    "auto" falls back on the script with one line of warning a process. Raises SolverMissingError where FreeFEM is missing, or
+    where "plugin" is asked for and cannot be built.
+    """
+    if scene.numerics.engine == "script":
+        return None
+    freefem.find()
+    try:
+        return plugin()
+    except SolverMissingError as error:
+        if scene.numerics.engine == "plugin":
+            raise
+        _warn(str(error))
+        return None
+
+
+def name(chosen: Path | None) -> str:
+    """``plugin`` or ``script``."""
+    return "plugin" if chosen else "script"
+
+
+@functools.lru_cache(maxsize=8)
+def _warn(obstacle: str) -> None:
+    _logger.warning("Simulating without the compiled engine: the same numbers in about %s. Why: %s", SLOWER, obstacle)
