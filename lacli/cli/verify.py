@@ -46,7 +46,7 @@ def command(
 def _show(checks: list[Check]) -> None:
     # a check to a line at 80 columns
     table = Table(title="Verification", title_justify="left", header_style="bold", box=None, padding=(0, 1, 0, 0))
-    table.add_column("what", no_wrap=True)
+    table.add_column("what", overflow="fold", max_width=34)
     for column in ("computed", "reference", "error", "asked", "", "CPU s"):
         table.add_column(column, justify="right", no_wrap=True)
     before = ""

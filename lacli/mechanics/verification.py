@@ -44,4 +44,4 @@ def verify(name: str) -> list[Check]:
         return PROBLEMS[name]()
     except SimulationError as error:
         nothing = float("nan")
-        return [Check(name, f"did not end ({error.kind})", nothing, nothing, nothing, nothing, False, 0, nothing)]
+        return [Check(name, f"did not end: {error}", nothing, nothing, nothing, nothing, False, 0, nothing)]

@@ -68,7 +68,7 @@ func int show(int task) {
   if (task == 3) return 0;
   real[int] b(nAll);
   b = R;
-  if (solveLinear(b, w, false) != 0) exit(4);
+  if (solveLinear(b, w) != 0) exit(4);
   for (int i = 0; i < nAll; ++i) out << w[i] << "\\n";
   return negativePivots();
 }

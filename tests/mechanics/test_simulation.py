@@ -56,13 +56,17 @@ def rendered(folder: Path, ball: Bundle, *overrides: str) -> str:
 
 def test_the_deck_contains_only_what_the_scene_asks_for(folder: Path, ball: Bundle) -> None:
     bare = rendered(folder, ball)
-    for word in ("pericardium", "vein", "annulus", "unload", "conduit"):
+    for word in ("pericardium", "vein", "annulus", "unload", "prestrain", "conduit"):
         assert word not in bare
     full = rendered(
         folder, ball, "pericardium.k_peri_kpa_per_um=0.001", "motion.annulus=axial", "loads.edp_mmhg=2", "outputs.conduit=true"
     )
-    for word in ("pericardium.txt", "annulusAt", "unloading.idp", "conduit"):
+    for word in ("pericardium.txt", "annulusAt", "prestrain.idp", "unloaded.txt", "conduit"):
         assert word in full
+    assert "unloading.idp" not in full
+    backward = rendered(folder, ball, "loads.edp_mmhg=2", "numerics.unloading='backward'")
+    assert "unloading.idp" in backward and "prestrain.idp" not in backward
+    assert "unloaded.txt" not in rendered(folder, ball, "loads.edp_mmhg=2", "outputs.unloaded=false")
 
 
 def test_units_are_converted_once(folder: Path, ball: Bundle) -> None:
@@ -105,9 +109,23 @@ def test_pressure_inflates_and_stiffness_resists(folder: Path, tmp_path: Path) -
     assert simulation.run_scene(scene(folder), tmp_path).manifest == soft.manifest
 
 
+def test_prestrain_keeps_the_image_and_shrinks_without_pressure(folder: Path, tmp_path: Path) -> None:
+    result = simulation.run_scene(scene(folder, "loads.edp_mmhg=3", "loads.esp_mmhg=8"), tmp_path)
+    assert result.status == "done", result.message
+    features = result.features
+    assert features["ed_shape_error_mean_mm"] == 0 and features["ed_unstable_modes"] == 0 == features["es_unstable_modes"]
+    assert features["unloaded_volume_ml"] < 0.95 * features["edv_ml"] < 0.95 * features["esv_ml"]
+    # the more of the wall's stiffness is used up at end-diastole, the less is left for the way to end-systole
+    loose = simulation.run_scene(scene(folder, "loads.edp_mmhg=1", "loads.esp_mmhg=8"), tmp_path)
+    assert features["esv_ml"] < loose.features["esv_ml"]
+    table = np.genfromtxt(result.folder / "transients.csv", delimiter=",", names=True, dtype=None, encoding="ascii")
+    assert len(table) == 2  # end-diastole and end-systole; the unloaded state is no point of the cycle
+
+
 @pytest.mark.slow
-def test_unloading_returns_to_the_image(folder: Path, tmp_path: Path) -> None:
-    result = simulation.run_scene(scene(folder, "numerics.order=2", "loads.edp_mmhg=3", "loads.esp_mmhg=8"), tmp_path)
+def test_backward_displacement_returns_to_the_image(folder: Path, tmp_path: Path) -> None:
+    overrides = ("numerics.order=2", "loads.edp_mmhg=3", "loads.esp_mmhg=8", "numerics.unloading='backward'")
+    result = simulation.run_scene(scene(folder, *overrides), tmp_path)
     assert result.status == "done", result.message
     assert abs(result.features["ed_volume_error"]) < 0.01
     assert result.features["ed_shape_error_mean_mm"] < 0.3

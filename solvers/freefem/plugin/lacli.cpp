@@ -274,13 +274,6 @@ long laSolve(KN<double> *const &b, KN<double> *const &x) {
   return error;
 }
 
-// laKrylov(b, x, tolerance, iterations): K x = b by GMRES on older factors; iterations used, or -1
-long laKrylov(KN<double> *const &b, KN<double> *const &x, double const &tolerance, long const &most) {
-  Problem &P = *the;
-  if (!P.mumps.ready(P.system)) return -1;
-  return gmres(P.system, P.mumps, &(*b)[0], &(*x)[0], tolerance, (int)most);
-}
-
 // laMultiply(v, y): y = K v with the last tangent, held unknowns included
 long laMultiply(KN<double> *const &v, KN<double> *const &y) {
   the->system.multiply(&(*v)[0], &(*y)[0]);
@@ -331,7 +324,6 @@ static void Load_Init() {
   Global.Add("laAssemble", "(", new OneOperator4_<long, long, KN<double> *, KN<double> *, KN<double> *>(laAssemble));
   Global.Add("laFactor", "(", new OneOperator0<long>(laFactor));
   Global.Add("laSolve", "(", new OneOperator2_<long, KN<double> *, KN<double> *>(laSolve));
-  Global.Add("laKrylov", "(", new OneOperator4_<long, KN<double> *, KN<double> *, double, long>(laKrylov));
   Global.Add("laMultiply", "(", new OneOperator2_<long, KN<double> *, KN<double> *>(laMultiply));
   Global.Add("laState", "(", new OneOperator1_<long, KN<double> *>(laState));
   Global.Add("laLaw", "(", new OneOperator3_<long, KN<double> *, KN<double> *, KN<double> *>(laLaw));

@@ -85,7 +85,6 @@ class Mumps {
       dmumps_c(&id_);
       if (id_.infog[0] < 0) return id_.infog[0];
     }
-    factored_ = false;
     fill(s);
     for (int attempt = 0; attempt < 4; ++attempt) {
       id_.job = 2;
@@ -94,7 +93,6 @@ class Mumps {
       id_.icntl[13] *= 2;                    // more workspace, ask again
     }
     negative = id_.infog[11];
-    factored_ = id_.infog[0] >= 0;
     return id_.infog[0] < 0 ? id_.infog[0] : 0;
   }
   int solve(const System &s, const double *b, double *x) {
@@ -106,8 +104,6 @@ class Mumps {
     dmumps_c(&id_);
     return id_.infog[0] < 0 ? id_.infog[0] : 0;
   }
-  // whether there are factors of a matrix of this kind
-  bool ready(const System &s) const { return factored_ && open_ && symmetric_ == s.symmetric && n_ == s.n; }
   void end() {
     if (!open_) return;
     id_.job = -2;
@@ -161,72 +157,11 @@ class Mumps {
     }
   }
   DMUMPS_STRUC_C id_;
-  bool open_ = false, symmetric_ = true, factored_ = false;
+  bool open_ = false, symmetric_ = true;
   int n_ = 0;
   std::vector<int> irn_, jcn_;
   std::vector<double> a_;
 };
-
-// Flexible GMRES for K x = b on the free unknowns, preconditioned by older factors. Returns the iterations used, or -1 where
-// the residual is not below `tolerance` times b's within `most` iterations (x is then to be thrown away).
-inline int gmres(const System &s, Mumps &factors, const double *b, double *x, double tolerance, int most) {
-  const int n = s.n;
-  typedef std::vector<double> Vector;
-  auto dot = [&](const Vector &u, const Vector &v) {
-    double sum = 0;
-    for (int i = 0; i < n; ++i) sum += u[i] * v[i];
-    return sum;
-  };
-  std::vector<Vector> V(1, Vector(n)), Z;
-  for (int i = 0; i < n; ++i) V[0][i] = s.fixed[i] ? 0.0 : b[i];
-  const double beta = std::sqrt(dot(V[0], V[0]));
-  std::fill(x, x + n, 0.0);
-  if (beta == 0) return 0;
-  for (double &v : V[0]) v /= beta;
-  std::vector<Vector> H;                     // columns after the rotations
-  Vector c, sn, g(1, beta);
-  for (int k = 0; k < most; ++k) {
-    Z.push_back(Vector(n));
-    if (factors.solve(s, V[k].data(), Z[k].data()) != 0) return -1;
-    Vector w(n);
-    for (int i = 0; i < n; ++i)
-      if (s.fixed[i]) Z[k][i] = 0.0;
-    s.multiply(Z[k].data(), w.data());
-    for (int i = 0; i < n; ++i)
-      if (s.fixed[i]) w[i] = 0.0;
-    Vector h(k + 2);
-    for (int j = 0; j <= k; ++j) {
-      h[j] = dot(w, V[j]);
-      for (int i = 0; i < n; ++i) w[i] -= h[j] * V[j][i];
-    }
-    h[k + 1] = std::sqrt(dot(w, w));
-    if (!std::isfinite(h[k + 1])) return -1;
-    for (double &v : w) v /= h[k + 1] > 0 ? h[k + 1] : 1.0;
-    V.push_back(w);
-    for (int j = 0; j < k; ++j) {
-      const double t = c[j] * h[j] + sn[j] * h[j + 1];
-      h[j + 1] = -sn[j] * h[j] + c[j] * h[j + 1];
-      h[j] = t;
-    }
-    const double r = std::hypot(h[k], h[k + 1]);
-    c.push_back(h[k] / r), sn.push_back(h[k + 1] / r);
-    h[k] = r, h[k + 1] = 0;
-    g.push_back(-sn[k] * g[k]), g[k] *= c[k];
-    H.push_back(h);
-    if (std::fabs(g[k + 1]) <= tolerance * beta) {
-      Vector y(k + 1);
-      for (int i = k; i >= 0; --i) {
-        double t = g[i];
-        for (int j = i + 1; j <= k; ++j) t -= H[j][i] * y[j];
-        y[i] = t / H[i][i];
-      }
-      for (int j = 0; j <= k; ++j)
-        for (int i = 0; i < n; ++i) x[i] += y[j] * Z[j][i];
-      return k + 1;
-    }
-  }
-  return -1;
-}
 
 }  // namespace lacli
 #endif
