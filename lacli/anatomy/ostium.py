@@ -52,9 +52,10 @@ def flare_end(radius: FloatArray, step_mm: float) -> float | None:
     """
     slope = slopes(np.asarray(radius, dtype=np.float64), max(1, round(WINDOW_MM / step_mm)), step_mm)
     limit = np.tan(np.radians(FLARE_DEG))
-    if not (slope > limit).any():
+    flaring = np.flatnonzero(slope > limit)
+    if len(flaring) == 0:
         return None
-    even = int(np.argmin(np.abs(slope[: int(np.argmax(slope)) + 1])))
+    even = int(np.argmin(np.abs(slope[: int(flaring[-1]) + 1])))
     after = np.flatnonzero(slope[even:] > limit)
     k = even + int(after[0])
     if k == even:  # it flares from its outer end on

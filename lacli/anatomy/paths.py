@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from lacli.errors import AnatomyError
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+STEINER = 3
 
 
 def edge_table(triangles: IntArray) -> tuple[IntArray, IntArray, IntArray]:
@@ -51,42 +53,59 @@ def shortest_path(graph: csr_matrix, start: int, goals: IntArray | int) -> IntAr
     return min(found, key=lambda path: (len(path), distance[path[-1]]))
 
 
-def geodesic(points: FloatArray, triangles: IntArray, start: int, goals: IntArray | int, steiner: int = 3) -> FloatArray:
-    """The shortest way over the surface (k, 3) mm from point ``start`` to the nearest of ``goals``, across triangles too.
+@dataclass(frozen=True)
+class Ways:
+    """A surface ready for lines over it: straight across triangles, not only along their edges.
 
-    Edges get ``steiner`` points each, joined within every triangle: lengths are right within about 1 %, on any mesh.
+    An edge path on a coarse mesh goes round by up to a sixth of its length, and which way round is the mesh's accident; here
+    every edge has STEINER points more, joined within each triangle, which makes lengths right within about 1 %.
     """
-    edges, _, of = edge_table(triangles)
-    share = np.arange(1, steiner + 1) / (steiner + 1)
-    a, b = points[edges[:, 0]], points[edges[:, 1]]
-    between = a[:, None] + share[None, :, None] * (b - a)[:, None]
-    place = np.vstack([points, between.reshape(-1, 3)])
-    on_edge = len(points) + np.arange(len(edges) * steiner).reshape(-1, steiner)
-    border = np.concatenate([triangles, on_edge[of].reshape(len(triangles), -1)], axis=1)
-    i, j = np.triu_indices(border.shape[1], 1)
-    pairs = np.unique(np.sort(np.stack([border[:, i].ravel(), border[:, j].ravel()], axis=1), axis=1), axis=0)
-    length = np.linalg.norm(place[pairs[:, 0]] - place[pairs[:, 1]], axis=1)
-    graph = coo_matrix((length, (pairs[:, 0], pairs[:, 1])), shape=(len(place), len(place))).tocsr()
-    distance, before = (
-        row[0] for row in dijkstra(graph, directed=False, indices=np.array([start]), return_predecessors=True)
-    )
-    ends = np.unique(np.atleast_1d(np.asarray(goals, dtype=np.int64)))
-    end = int(ends[np.argmin(distance[ends])])
-    if not np.isfinite(distance[end]):
-        raise AnatomyError("two landmarks lie on unconnected parts of the surface.")
-    return place[_walk_back(before, start, end)]
 
+    points: FloatArray
+    edges: IntArray
+    place: FloatArray
+    graph: csr_matrix
 
-def along(points: FloatArray, triangles: IntArray, way: FloatArray, start: int, end: int) -> IntArray:
-    """Point ids of the edge path from ``start`` to ``end`` that keeps nearest to ``way`` (k, 3) mm."""
-    edges, _, _ = edge_table(triangles)
-    length = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
-    fine = np.vstack([way[:-1] + s * np.diff(way, axis=0) for s in (0.0, 0.25, 0.5, 0.75)] + [way[-1:]])
-    away, _ = cKDTree(fine).query(points[edges])
-    cost = length * (1e-3 + (away**2).mean(axis=1) / float(length.mean()) ** 2)
-    graph = coo_matrix((cost, (edges[:, 0], edges[:, 1])), shape=(len(points), len(points))).tocsr()
-    _, before = dijkstra(graph, directed=False, indices=np.array([start]), return_predecessors=True)
-    return _walk_back(before[0], start, end)
+    @classmethod
+    def over(cls, points: FloatArray, triangles: IntArray) -> Ways:
+        """For points (n, 3) mm and triangles (t, 3)."""
+        edges, _, of = edge_table(triangles)
+        share = np.arange(1, STEINER + 1) / (STEINER + 1)
+        a, b = points[edges[:, 0]], points[edges[:, 1]]
+        place = np.vstack([points, (a[:, None] + share[None, :, None] * (b - a)[:, None]).reshape(-1, 3)])
+        on_edge = len(points) + np.arange(len(edges) * STEINER).reshape(-1, STEINER)
+        border = np.concatenate([triangles, on_edge[of].reshape(len(triangles), -1)], axis=1)
+        i, j = np.triu_indices(border.shape[1], 1)
+        low, high = np.minimum(border[:, i], border[:, j]).ravel(), np.maximum(border[:, i], border[:, j]).ravel()
+        keys = np.unique(low * len(place) + high)
+        low, high = keys // len(place), keys % len(place)
+        length = np.linalg.norm(place[low] - place[high], axis=1)
+        return cls(points, edges, place, coo_matrix((length, (low, high)), shape=(len(place), len(place))).tocsr())
+
+    def line(self, start: int, goals: IntArray | int) -> FloatArray:
+        """The shortest way (k, 3) mm from point ``start`` to the nearest of ``goals``."""
+        distance, before = (
+            row[0] for row in dijkstra(self.graph, directed=False, indices=np.array([start]), return_predecessors=True)
+        )
+        ends = np.unique(np.atleast_1d(np.asarray(goals, dtype=np.int64)))
+        end = int(ends[np.argmin(distance[ends])])
+        if not np.isfinite(distance[end]):
+            raise AnatomyError("two landmarks lie on unconnected parts of the surface.")
+        return self.place[_walk_back(before, start, end)]
+
+    def path(self, start: int, goals: IntArray | int) -> IntArray:
+        """Point ids of the edge path from ``start`` to one of ``goals`` that keeps nearest to the shortest way there."""
+        way = self.line(start, goals)
+        ends = np.atleast_1d(np.asarray(goals, dtype=np.int64))
+        end = int(ends[np.argmin(np.linalg.norm(self.points[ends] - way[-1], axis=1))])
+        length = np.linalg.norm(self.points[self.edges[:, 0]] - self.points[self.edges[:, 1]], axis=1)
+        fine = np.vstack([way[:-1] + s * np.diff(way, axis=0) for s in (0.0, 0.25, 0.5, 0.75)] + [way[-1:]])
+        away, _ = cKDTree(fine).query(self.points[self.edges])
+        cost = length * (1e-3 + (away**2).mean(axis=1) / float(length.mean()) ** 2)
+        size = len(self.points)
+        graph = coo_matrix((cost, (self.edges[:, 0], self.edges[:, 1])), shape=(size, size)).tocsr()
+        _, before = dijkstra(graph, directed=False, indices=np.array([start]), return_predecessors=True)
+        return _walk_back(before[0], start, end)
 
 
 def _walk_back(before: IntArray, start: int, end: int) -> IntArray:
