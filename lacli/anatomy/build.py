@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from lacli.anatomy import branches, clipping, coordinates, extraction, landmarks
+from lacli.anatomy import branches, clipping, coordinates, extraction, landmarks, ostium
 from lacli.anatomy.bundle import OPENINGS, PLANES, Bundle
 from lacli.anatomy.image import Image
 from lacli.anatomy.landmarks import LPS, Axes, Landmarks, Opening
@@ -232,7 +232,7 @@ def find_landmarks(
         if rim is not None:
             openings[name] = replace(rim, name=name, confidence=confidence[name])
         else:
-            openings[name] = landmarks.ostium(name, named[name], confidence[name], ray_caster(field), ring_mm)
+            openings[name] = ostium.of_branch(name, named[name], confidence[name], ray_caster(field), ring_mm)
     return landmarks.override(Landmarks(openings, {}, tuple(notes)), given)
 
 

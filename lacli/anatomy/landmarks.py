@@ -194,70 +194,6 @@ def _sides(
     return left, right, float(np.clip(abs(away[0] - away[1]) / scale, 0, 1)), axes
 
 
-def ostium(name: str, branch: Branch, confidence: float, radius_at: Any, ring_mm: float = 0.0) -> Opening:
-    """Cut across a branch where it leaves the body, ``ring_mm`` outside that (less where the branch is short).
-
-    Plane sections across the branch are followed inward until they widen like the body's.
-
-    Starts 4 mm outside the shells' estimate; every mm the plane is centred and turned to its smallest section. The ostium is
-    the last plane before the area grows by WIDENING within 3 mm. ``radius_at(centre, directions)`` gives the wall's distance
-    (k,) mm along unit directions (k, 3) from a point inside.
-    """
-    start = max(0, min(branch.ostium + 4, len(branch.centreline) - 6))
-    ahead = branch.centreline[min(start + 3, len(branch.centreline) - 1)] - branch.centreline[max(0, start - 3)]
-    axis = ahead / max(float(np.linalg.norm(ahead)), 1e-12)
-    centre, normal, area = _smallest_section(branch.centreline[start], axis, axis, radius_at)
-    places = [(centre, normal, area)]
-    for _ in range(14):
-        centre, normal, area = _smallest_section(centre - normal, normal, axis, radius_at)
-        if area > WIDENING * min(a for _, _, a in places[-3:]):
-            break
-        places.append((centre, normal, area))
-    last = max(0, len(places) - 2)
-    chosen = places[max(0, last - round(ring_mm))]
-    return Opening(name, chosen[0], chosen[1], branch.tip, float(2 * np.sqrt(chosen[2] / np.pi)), confidence, "shape")
-
-
-WIDENING = 1.3
-MAX_TILT_DEG = 40.0
-_ANGLES = np.linspace(0, 2 * np.pi, 36, endpoint=False)
-
-
-def _section(normal: FloatArray, centre: FloatArray, radius_at: Any) -> tuple[float, FloatArray]:
-    """Area (mm2) and centroid (3,) of the plane section that is seen from ``centre``."""
-    e = _across(normal)
-    rays = np.cos(_ANGLES)[:, None] * e + np.sin(_ANGLES)[:, None] * np.cross(normal, e)
-    r = radius_at(centre, rays)
-    area = 0.5 * float(np.sum(r * np.roll(r, -1)) * np.sin(_ANGLES[1]))
-    return area, centre + (rays * (r**3)[:, None]).sum(axis=0) / (1.5 * np.sum(r**2))
-
-
-def _across(normal: FloatArray) -> FloatArray:
-    e = np.cross(normal, [1.0, 0, 0] if abs(normal[0]) < 0.8 else [0, 1.0, 0])
-    return e / np.linalg.norm(e)
-
-
-def _smallest_section(
-    centre: FloatArray, normal: FloatArray, axis: FloatArray, radius_at: Any
-) -> tuple[FloatArray, FloatArray, float]:
-    """Centre the plane in the vessel and turn it, in small steps within MAX_TILT_DEG of ``axis``, to its smallest section."""
-    area, middle = _section(normal, centre, radius_at)
-    centre = centre + (middle - centre) * min(1.0, 2.0 / max(float(np.linalg.norm(middle - centre)), 1e-9))
-    area, _ = _section(normal, centre, radius_at)
-    for step in np.radians([6.0, 3.0]):
-        for _ in range(4):
-            e = _across(normal)
-            f = np.cross(normal, e)
-            trials = [normal + np.tan(step) * turn for turn in (e, -e, f, -f)]
-            trials = [t / np.linalg.norm(t) for t in trials]
-            trials = [t for t in trials if t @ axis > np.cos(np.radians(MAX_TILT_DEG))]
-            areas = [_section(t, centre, radius_at)[0] for t in trials]
-            if not areas or min(areas) > 0.995 * area:
-                break
-            area, normal = min(areas), trials[int(np.argmin(areas))]
-    return centre, normal, area
-
-
 def write(landmarks: Landmarks, path: Path) -> None:
     """Write ``landmarks.toml``: one table per opening, one of side points; mm in the frame of the input."""
     import tomli_w
@@ -329,18 +265,3 @@ def override(found: Landmarks, given: Landmarks | None) -> Landmarks:
     if given is None:
         return found
     return Landmarks({**found.openings, **given.openings}, {**found.sides, **given.sides}, found.notes)
-
-
-def inner_ostium(opening: Opening, radius_at: Any, farthest_mm: int = 20) -> Opening:
-    """From an open vessel's rim inward to where it widens like the body: the junction of vessel and atrium."""
-    axis = opening.normal
-    centre, normal, area = _smallest_section(opening.centre - 0.5 * axis, axis, axis, radius_at)
-    places = [(centre, normal, area)]
-    for _ in range(farthest_mm):
-        centre, normal, area = _smallest_section(centre - normal, normal, axis, radius_at)
-        if area > WIDENING * min(a for _, _, a in places[-3:]):
-            break
-        places.append((centre, normal, area))
-    chosen = places[max(0, len(places) - 2)]
-    diameter = float(2 * np.sqrt(chosen[2] / np.pi))
-    return Opening(opening.name, chosen[0], chosen[1], opening.beyond, diameter, opening.confidence, opening.source)

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.spatial import cKDTree
 
 from lacli.errors import AnatomyError
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+STEINER = 3
 
 
 def edge_table(triangles: IntArray) -> tuple[IntArray, IntArray, IntArray]:
@@ -48,6 +51,61 @@ def shortest_path(graph: csr_matrix, start: int, goals: IntArray | int) -> IntAr
         raise AnatomyError("two landmarks lie on unconnected parts of the surface.")
     found = [_walk_back(before, start, int(end)) for end in ends]
     return min(found, key=lambda path: (len(path), distance[path[-1]]))
+
+
+@dataclass(frozen=True)
+class Ways:
+    """A surface ready for lines over it: straight across triangles, not only along their edges.
+
+    An edge path on a coarse mesh goes round by up to a sixth of its length, and which way round is the mesh's accident; here
+    every edge has STEINER points more, joined within each triangle, which makes lengths right within about 1 %.
+    """
+
+    points: FloatArray
+    edges: IntArray
+    place: FloatArray
+    graph: csr_matrix
+
+    @classmethod
+    def over(cls, points: FloatArray, triangles: IntArray) -> Ways:
+        """For points (n, 3) mm and triangles (t, 3)."""
+        edges, _, of = edge_table(triangles)
+        share = np.arange(1, STEINER + 1) / (STEINER + 1)
+        a, b = points[edges[:, 0]], points[edges[:, 1]]
+        place = np.vstack([points, (a[:, None] + share[None, :, None] * (b - a)[:, None]).reshape(-1, 3)])
+        on_edge = len(points) + np.arange(len(edges) * STEINER).reshape(-1, STEINER)
+        border = np.concatenate([triangles, on_edge[of].reshape(len(triangles), -1)], axis=1)
+        i, j = np.triu_indices(border.shape[1], 1)
+        low, high = np.minimum(border[:, i], border[:, j]).ravel(), np.maximum(border[:, i], border[:, j]).ravel()
+        keys = np.unique(low * len(place) + high)
+        low, high = keys // len(place), keys % len(place)
+        length = np.linalg.norm(place[low] - place[high], axis=1)
+        return cls(points, edges, place, coo_matrix((length, (low, high)), shape=(len(place), len(place))).tocsr())
+
+    def line(self, start: int, goals: IntArray | int) -> FloatArray:
+        """The shortest way (k, 3) mm from point ``start`` to the nearest of ``goals``."""
+        distance, before = (
+            row[0] for row in dijkstra(self.graph, directed=False, indices=np.array([start]), return_predecessors=True)
+        )
+        ends = np.unique(np.atleast_1d(np.asarray(goals, dtype=np.int64)))
+        end = int(ends[np.argmin(distance[ends])])
+        if not np.isfinite(distance[end]):
+            raise AnatomyError("two landmarks lie on unconnected parts of the surface.")
+        return self.place[_walk_back(before, start, end)]
+
+    def path(self, start: int, goals: IntArray | int) -> IntArray:
+        """Point ids of the edge path from ``start`` to one of ``goals`` that keeps nearest to the shortest way there."""
+        way = self.line(start, goals)
+        ends = np.atleast_1d(np.asarray(goals, dtype=np.int64))
+        end = int(ends[np.argmin(np.linalg.norm(self.points[ends] - way[-1], axis=1))])
+        length = np.linalg.norm(self.points[self.edges[:, 0]] - self.points[self.edges[:, 1]], axis=1)
+        fine = np.vstack([way[:-1] + s * np.diff(way, axis=0) for s in (0.0, 0.25, 0.5, 0.75)] + [way[-1:]])
+        away, _ = cKDTree(fine).query(self.points[self.edges])
+        cost = length * (1e-3 + (away**2).mean(axis=1) / float(length.mean()) ** 2)
+        size = len(self.points)
+        graph = coo_matrix((cost, (self.edges[:, 0], self.edges[:, 1])), shape=(size, size)).tocsr()
+        _, before = dijkstra(graph, directed=False, indices=np.array([start]), return_predecessors=True)
+        return _walk_back(before[0], start, end)
 
 
 def _walk_back(before: IntArray, start: int, end: int) -> IntArray:

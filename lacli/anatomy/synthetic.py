@@ -29,16 +29,18 @@ def synthesize(
     descent_mm: float = 8.0,
     layers: int | None = None,
     rule: str = "laplace-dirichlet",
+    at_ostia: bool = False,
 ) -> tuple[Bundle, Motion]:
     """Bundle and annulus motion of a seed.
 
     volume_ml: cavity volume with the planes closed, None: the seed's own from the cohort's range. The mesh's curved
     cavity volume is within the discretisation of that. ``rule``: of coordinates.RULES, regions then follow the universal
-    atrial coordinates; or "simple": sectors and two-layer fibres by the shape's own axes (see frame).
+    atrial coordinates; or "simple": sectors and two-layer fibres by the shape's own axes (see frame). ``at_ostia``: cut the
+    vessels where `mesh` does, at their ostia (Shape.at_ostia), of the atrium that has the volume when cut as drawn.
     Raises AnatomyError for an argument out of range.
     """
     shape = sized(seed, volume_ml)
-    surface = cavity(shape)
+    surface = cavity(shape.at_ostia() if at_ostia else shape)
     bundle = mesh_shell(surface, thickness_mm, cell_size_mm, order=order, layers=layers)
     if rule != "simple":
         bundle = describe(bundle, rule=rule).bundle
@@ -53,18 +55,20 @@ def sized(seed: int, volume_ml: float | None = None) -> Shape:
     if not 5.0 <= volume <= 500.0:
         low, high = COHORT_ML
         raise AnatomyError(f"A left atrium has no {volume:g} mL: give 5 - 500 mL (the published cohort has {low:g} - {high:g}).")
-    return replace(draw(seed), scale=float((volume / _unit_cavity(seed, GRID_MM).volume_ml()) ** (1 / 3)))
+    return replace(draw(seed), scale=float((volume / cavity(draw(seed)).volume_ml()) ** (1 / 3)))
 
 
 def cavity(shape: Shape, grid_mm: float = GRID_MM) -> Surface:
     """The closed, clipped cavity surface, its points on the implicit function's zero; edges of ``grid_mm`` x scale."""
-    unit_cavity = _unit_cavity(shape.seed, grid_mm)
+    unit_cavity = _unit_cavity(shape.seed, grid_mm, tuple(tube.cut_mm for tube in shape.tubes.values()))
     return replace(unit_cavity, points=unit_cavity.points * shape.scale)
 
 
 @lru_cache(maxsize=4)
-def _unit_cavity(seed: int, grid_mm: float) -> Surface:
+def _unit_cavity(seed: int, grid_mm: float, cuts_mm: tuple[float, ...]) -> Surface:
     shape = draw(seed)
+    cut_at = zip(shape.tubes.items(), cuts_mm, strict=True)
+    shape = replace(shape, tubes={name: replace(tube, cut_mm=mm) for (name, tube), mm in cut_at})
     surface = isosurface(shape, grid_mm)
     for cut in shape.cuts():
         surface = cut_open(surface, cut)

@@ -7,18 +7,18 @@ appendage to circles of one common square and solves the posterior and the anter
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
 
 from lacli.anatomy import laplace, paths
 from lacli.errors import AnatomyError
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Line = Callable[[int, "IntArray | int"], IntArray]
 
 VEINS = ("rspv", "ripv", "lspv", "lipv")
 
@@ -46,6 +46,7 @@ RIM = {
     "rspv": Circle(0.115, 0.555, 0.02, 0.02),
 }
 SUPERIOR_WIDTH, SUPERIOR_HEIGHT = 0.23, 0.11  # half ellipses of the superior junctions, standing on beta = 0.5
+FINE_MM = 0.8
 BAND = 0.01  # width, in the first round's coordinates, of the strips that stand for a line through a vessel's extreme
 
 
@@ -99,13 +100,13 @@ def coordinates(parts: Parts) -> FloatArray:
     """
     points, triangles = parts.points, parts.triangles
     junction, rim = _vessel_loops(parts)
-    graph = paths.edge_graph(points, triangles)
+    line = line_finder(points, triangles)
     between = np.mean([points[junction[name]].mean(axis=0) for name in VEINS], axis=0)
     lspv = _superior(points, junction["lspv"], junction["lipv"], parts.lspv_roof, between)
     rspv = _superior(points, junction["rspv"], junction["ripv"], parts.rspv_roof, between)
-    roof = np.concatenate([lspv.roof, paths.shortest_path(graph, lspv.far, rspv.far)[1:-1], rspv.roof[::-1]])
-    lateral = _side_line(points, graph, parts.lateral, lspv.near, parts.mitral)
-    septal = _side_line(points, graph, parts.septal, rspv.near, parts.mitral)
+    roof = np.concatenate([lspv.roof, line(lspv.far, rspv.far)[1:-1], rspv.roof[::-1]])
+    lateral = _side_line(points, line, parts.lateral, lspv.near, parts.mitral)
+    septal = _side_line(points, line, parts.septal, rspv.near, parts.mitral)
 
     # first round; across: 0 lateral .. 1 septal, up: 0 mitral rim .. 1 roof line
     matrix = laplace.stiffness(laplace.gradient(points, triangles), len(points))
@@ -125,7 +126,7 @@ def coordinates(parts: Parts) -> FloatArray:
     for name, cells in (("posterior", triangles[behind]), ("anterior", triangles[~behind])):
         in_wall = np.zeros(len(points), dtype=bool)
         in_wall[cells] = True
-        frame = _Frame(points, across, up, in_wall & ~on_border, graph, junction, rim)
+        frame = _Frame(points, across, up, in_wall & ~on_border, line, junction, rim)
         fixed_across, fixed_up = _posterior_values(frame) if name == "posterior" else _anterior_values(frame, parts, lspv, rspv)
         for values, pairs in ((fixed_across, ((lateral, 0.0), (septal, 1.0))), (fixed_up, ((parts.mitral, 0.0), (roof, 1.0)))):
             for ids, value in pairs:
@@ -180,9 +181,21 @@ def _superior(
     return _Superior(near, far, arcs[first], arcs[1 - first])
 
 
-def _side_line(points: FloatArray, graph: csr_matrix, marker: FloatArray | None, vein: int, mitral: IntArray) -> IntArray:
+def line_finder(points: FloatArray, triangles: IntArray) -> Line:
+    """How lines are laid: along edges as published where the mesh is fine, else by the shortest way across triangles.
+
+    On a mesh coarser than FINE_MM, edge paths, and the ends that they find on a rim, follow the mesh more than the atrium.
+    """
+    edges, _, _ = paths.edge_table(triangles)
+    if float(np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1).mean()) > FINE_MM:
+        return paths.Ways.over(points, triangles).path
+    graph = paths.edge_graph(points, triangles)
+    return lambda start, goals: paths.shortest_path(graph, start, goals)
+
+
+def _side_line(points: FloatArray, line: Line, marker: FloatArray | None, vein: int, mitral: IntArray) -> IntArray:
     start = vein if marker is None else int(np.argmin(np.linalg.norm(points - marker, axis=1)))
-    return np.union1d(paths.shortest_path(graph, start, vein), paths.shortest_path(graph, start, mitral))
+    return np.union1d(line(start, vein), line(start, mitral))
 
 
 def _posterior_points(parts: Parts, border: IntArray, junction: Mapping[str, IntArray]) -> IntArray:
@@ -209,7 +222,7 @@ class _Frame:
     across: FloatArray
     up: FloatArray
     free: NDArray[np.bool_]
-    graph: csr_matrix
+    line: Line
     junction: Mapping[str, IntArray]
     rim: Mapping[str, IntArray]
 
@@ -219,9 +232,6 @@ class _Frame:
         hit = ((past > 0) & (past < BAND)) if above else ((past < 0) & (past > -BAND))
         ids = np.flatnonzero(hit & self.free & where)
         return ids, past[ids]
-
-    def line(self, start: int, end: int | IntArray) -> IntArray:
-        return paths.shortest_path(self.graph, start, end)
 
     def extremes(self, name: str) -> dict[str, int]:
         loop = self.junction[name]
