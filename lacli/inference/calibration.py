@@ -145,7 +145,7 @@ def calibrate(
         place = folder / f"wave_{number}"
         tick = _ticker(monitor, "emulators", number, reports)
         emulators, notes, finished_x, failed_x = _emulators(log, x, targets, settings, place, tick)
-        wave = Wave(emulators, targets, settings.thresholds[min(number, len(settings.thresholds)) - 1])
+        wave = Wave(emulators, targets.widened(emulators.error_sd), settings.thresholds[min(number, len(settings.thresholds)) - 1])
         region = region.add(wave)
         monitor(Status("matching", number, 0, 1, tuple(reports)))
         try:
@@ -176,7 +176,7 @@ def calibrate(
         else:
             x = np.vstack([x, _next(box, found.sample, settings, x, finished_x, failed_x, notes)])
     assert emulators is not None
-    density = Density(emulators, targets, region if settings.prior == "nroy" else Region(box))
+    density = Density(emulators, region.waves[-1].targets, region if settings.prior == "nroy" else Region(box))
     chain = _sample(density, settings, samples[-1], folder / "chain.npz", monitor, number, tuple(reports))
     map_x, _ = mcmc.maximum(density, chain)
     table = mcmc.summary(chain, map_x)

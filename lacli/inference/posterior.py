@@ -6,7 +6,7 @@ import hashlib
 import warnings
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 
 import emcee
@@ -287,7 +287,7 @@ def chain_key(density: Density, settings: Settings) -> str:
         a
         for s in sets
         for e in s.emulators
-        for a in (e.process.theta, e.process.y, e.process.u, np.array([e.inflation, e.shift, e.scale]))
+        for a in (e.process.theta, e.process.y, e.process.u, np.array([e.inflation, e.shift, e.scale, *astuple(e.output_scale)]))
     ]
     for array in arrays:
         digest.update(np.ascontiguousarray(array, float).tobytes())

@@ -8,6 +8,7 @@ from lacli.inference import gp
 from lacli.inference.emulator import fit_emulator, fit_emulators
 from lacli.inference.emulator_set import EmulatorSet, load_emulators, save_emulators
 from lacli.inference.paths import draw_functions
+from lacli.inference.scales import OutputScale
 from lacli.inference.table import RunTable
 from lacli.inference.validation import cross_validate, score
 
@@ -89,7 +90,7 @@ def test_a_power_law_is_put_on_logarithmic_scales():
     rng = np.random.default_rng(1)
     x = np.exp(rng.uniform(np.log(0.1), np.log(10.0), (60, 2)))
     emulator = fit_emulator(x, 3.0 * x[:, 0] ** 1.5 / x[:, 1])
-    assert emulator.log_output and emulator.log_inputs.all()
+    assert emulator.output_scale == OutputScale(log=True) and emulator.log_inputs.all()
     mean, variance = emulator.predict(np.array([[2.0, 0.5]]))
     assert mean[0] == pytest.approx(3.0 * 2.0**1.5 / 0.5, rel=1e-3)
     assert 0 < variance[0] < 1e-2
