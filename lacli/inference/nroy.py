@@ -210,8 +210,9 @@ class _Population:
         the level's: a uniform number below s(x) / s(y)."""
         y = x.copy()
         begin = value = guide.log_density(x, self.t)
-        for step in range(_DETOUR):
-            new, possible = self._local(y, rest) if step % 4 == 3 else self._global(y, rest)
+        # the kind of a step is drawn: a fixed order of two kinds would not be the same forth and back, as the acceptance needs
+        for local in self.rng.random(_DETOUR) < 0.25:
+            new, possible = self._local(y, rest) if local else self._global(y, rest)
             rows = np.flatnonzero(possible & self.box.contains(new))
             proposed = guide.log_density(new[rows], self.t)
             good = np.log(self.rng.random(len(rows))) < proposed - value[rows]

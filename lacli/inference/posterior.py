@@ -17,6 +17,7 @@ from scipy.stats import qmc
 
 from lacli.errors import InputError, LacliError
 from lacli.inference.likelihood import Density
+from lacli.inference.mixture import fit_mixture
 from lacli.inference.moves import EnsemblesMove
 from lacli.inference.surrogate import fit_surrogate
 from lacli.inference.threads import single_threaded
@@ -24,7 +25,7 @@ from lacli.store import replacing
 
 FloatArray = NDArray[np.float64]
 
-_FORMAT = 1
+_FORMAT = 2
 _TUNING = 200  # steps of plain moves before anything is kept
 _ROUND = 50  # steps between saves
 # a stand-in whose log likelihood is off by more than this is accepted too seldom to pay
@@ -205,7 +206,8 @@ def _move(density: Density, settings: Settings, points: FloatArray | None) -> En
     if points is not None:
         fitted, error = fit_surrogate(density, points)
         surrogate = fitted if error < _SURROGATE_ERROR else None
-    return EnsemblesMove(settings.ensembles, box.upper - box.lower, surrogate)
+    mixture = None if points is None else fit_mixture(points, box.upper - box.lower)
+    return EnsemblesMove(settings.ensembles, box.upper - box.lower, surrogate, mixture=mixture)
 
 
 def starting_walkers(density: Density, count: int, rng: np.random.Generator, start: FloatArray | None) -> FloatArray:
