@@ -128,6 +128,11 @@ def calibrate(
     one wave on the given runs, then the posterior (``--from-table``). Raises LacliError with the target that no point
     of the box reaches, if that is so.
     """  # fmt: skip
+    if simulator is not None and settings.first_runs > settings.max_runs:
+        raise UsageError(
+            f"calibrate: the first wave's {settings.first_runs} runs are more than the {settings.max_runs} allowed;"
+            " lower --first-runs or raise --max-runs."
+        )
     begin = time.monotonic()
     folder.mkdir(parents=True, exist_ok=True)
     _same_settings(folder, box, targets, settings, given)

@@ -49,6 +49,9 @@ def fit_mixture(x: FloatArray, scale: FloatArray, seed: int = 0) -> Mixture:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a fit stopped early serves as well
         # twice as wide as the points, in variance: tails are reached too
-        fitted = GaussianMixture(count, reg_covar=1e-8, max_iter=30, random_state=seed).fit(x / scale)
-    factors = np.linalg.cholesky(2.0 * fitted.covariances_) * scale[:, None]
-    return Mixture(np.asarray(fitted.weights_), fitted.means_ * scale, factors, np.linalg.inv(factors))
+        # (k-means itself would sum in several threads, in any order: other bits each time)
+        options: dict[str, Any] = {"init_params": "k-means++", "reg_covar": 1e-8, "max_iter": 30, "random_state": seed}
+        fitted = GaussianMixture(count, **options).fit(x / scale)
+    factors = np.asarray(np.linalg.cholesky(2.0 * fitted.covariances_) * scale[:, None], np.float64)
+    inverses = np.asarray(np.linalg.inv(factors), np.float64)
+    return Mixture(np.asarray(fitted.weights_), fitted.means_ * scale, factors, inverses)
