@@ -144,7 +144,9 @@ def _number(column: Any) -> Any:
     values = pd.to_numeric(column, errors="coerce")
     if values.isna().any():
         row = int(values.isna().to_numpy().argmax())
-        raise TableError(f"--from-table: input {column.name}, row {row + 1} holds {column.iloc[row]!r}, which is not a number.")
+        cell = column.iloc[row]
+        what = "is empty" if pd.isna(cell) else f"holds {cell!r}, which is not a number"
+        raise TableError(f"--from-table: input {column.name}, row {row + 1} {what}. Fill it in or remove the run.")
     return values
 
 
@@ -210,6 +212,8 @@ def _time(seconds: float) -> str:
 def _finish(result: Calibration, folder: Path, figures: bool, as_json: bool, wall_s: float, targets: Targets | None) -> None:
     from lacli.inference.calibration import document
 
+    for note in dict.fromkeys(note for wave in result.waves for note in wave.notes):
+        err.print(f"note: {note}", highlight=False, soft_wrap=True)
     pictures = _draw(result, folder, None) if figures else []
     if as_json:
         print_json({**document(result), "wall_s": wall_s, "pictures": [str(p) for p in pictures]})
