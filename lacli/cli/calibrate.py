@@ -246,7 +246,7 @@ def _draw(result: Calibration, folder: Path, truth: Any) -> list[Path]:
             for r, w, s in zip(result.waves, result.region.waves, result.samples, strict=True)
         ]
         return [
-            region_figure(result.region, folder / "region.png", sample=result.samples[-1].points),
+            region_figure(result.region, folder / "region.png", sample=result.samples[-1].points, share=result.waves[-1].share),
             outputs_figure(waves, result.region.waves[-1].targets, folder / "outputs.png"),
             corner_figure(result.chain, result.map_x, result.region.box, folder / "corner.png", truth),
             trace_figure(result.chain, folder / "trace.png"),

@@ -78,7 +78,7 @@ def command(
         from lacli.report.inference_figures_matching import outputs_figure, region_figure
 
         pictures = [
-            region_figure(region, folder / "region.png", seed),
+            region_figure(region, folder / "region.png", seed, found.sample.points, found.share),
             outputs_figure([(f"{emulators.runs} runs", emulators, found.sample.points)], targets, folder / "outputs.png"),
         ]
     result = {

@@ -259,7 +259,9 @@ def _emulators(
     table = log.table(x, targets.names)
     missing = [name for name in targets.names if name not in table.outputs]
     if missing or table.inputs != log.inputs:
-        raise LacliError("calibrate: " + " ".join(table.notes))
+        raise LacliError(
+            "calibrate: " + " ".join(table.notes) + " Remove what never varies from the targets or the box, or add runs."
+        )
     table = table.select(targets.names)
     file = place / "emulators.npz"
     if not file.is_file():
