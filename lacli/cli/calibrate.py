@@ -144,7 +144,9 @@ def _number(column: Any) -> Any:
     values = pd.to_numeric(column, errors="coerce")
     if values.isna().any():
         row = int(values.isna().to_numpy().argmax())
-        raise TableError(f"--from-table: input {column.name}, row {row + 1} holds {column.iloc[row]!r}, which is not a number.")
+        cell = column.iloc[row]
+        what = "is empty" if pd.isna(cell) else f"holds {cell!r}, which is not a number"
+        raise TableError(f"--from-table: input {column.name}, row {row + 1} {what}. Fill it in or remove the run.")
     return values
 
 
@@ -210,6 +212,8 @@ def _time(seconds: float) -> str:
 def _finish(result: Calibration, folder: Path, figures: bool, as_json: bool, wall_s: float, targets: Targets | None) -> None:
     from lacli.inference.calibration import document
 
+    for note in dict.fromkeys(note for wave in result.waves for note in wave.notes):
+        err.print(f"note: {note}", highlight=False, soft_wrap=True)
     pictures = _draw(result, folder, None) if figures else []
     if as_json:
         print_json({**document(result), "wall_s": wall_s, "pictures": [str(p) for p in pictures]})
@@ -242,7 +246,7 @@ def _draw(result: Calibration, folder: Path, truth: Any) -> list[Path]:
             for r, w, s in zip(result.waves, result.region.waves, result.samples, strict=True)
         ]
         return [
-            region_figure(result.region, folder / "region.png", sample=result.samples[-1].points),
+            region_figure(result.region, folder / "region.png", sample=result.samples[-1].points, share=result.waves[-1].share),
             outputs_figure(waves, result.region.waves[-1].targets, folder / "outputs.png"),
             corner_figure(result.chain, result.map_x, result.region.box, folder / "corner.png", truth),
             trace_figure(result.chain, folder / "trace.png"),

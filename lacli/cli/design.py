@@ -109,5 +109,7 @@ def _feasibility(runs: Path | None, box):  # type: ignore[no-untyped-def]
     x = frame[list(box.names)].to_numpy(float)
     model = learn(box, x[ok], x[~ok])
     if model is None:
+        if not ok.any():
+            return None, f"no run in {runs} finished: nothing tells where one would; the design is spread over the whole box."
         return None, f"{int((~ok).sum())} failed runs in {runs}: fewer than {FEWEST_FAILURES} teach nothing."
     return model.accept, model.describe()

@@ -52,8 +52,9 @@ def command(
         before = load_emulators(path)
         if before.inputs != emulators.inputs:
             raise UsageError(f"{path}: its inputs are not those of this wave.")
-        waves.append(Wave(before.select(targets.names), targets, earlier_threshold))
-    wave = Wave(emulators, targets, threshold)
+        before = before.select(targets.names)
+        waves.append(Wave(before, targets.widened(before.error_sd), earlier_threshold))
+    wave = Wave(emulators, targets.widened(emulators.error_sd), threshold)
     region = Region(box, (*waves, wave))
     try:
         with err.status("matching") as status:
@@ -65,7 +66,7 @@ def command(
         ) from error  # fmt: skip
     folder.mkdir(parents=True, exist_ok=True)
     points = pd.DataFrame(found.sample.points, columns=list(box.names))
-    points["implausibility"] = found.sample.level * threshold
+    points["implausibility"] = wave.implausibility(found.sample.points).max(1)
     with replacing(folder / "nroy.csv") as temporary:
         points.to_csv(temporary, index=False)
     if following:
@@ -77,7 +78,7 @@ def command(
         from lacli.report.inference_figures_matching import outputs_figure, region_figure
 
         pictures = [
-            region_figure(region, folder / "region.png", seed),
+            region_figure(region, folder / "region.png", seed, found.sample.points, found.share),
             outputs_figure([(f"{emulators.runs} runs", emulators, found.sample.points)], targets, folder / "outputs.png"),
         ]
     result = {

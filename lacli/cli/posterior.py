@@ -47,7 +47,7 @@ def command(
         raise UsageError(f"--prior {prior}: must be nroy or box.")
     targets = read_targets(targets_file)
     emulators, table = fitted(inputs, outputs, names or list(targets.names), emulators_file, seed)
-    targets = targets.select(emulators.outputs)
+    targets = targets.select(emulators.outputs).widened(emulators.error_sd)
     region = Region(box_of(emulators, box_file, table))
     if prior == "nroy":
         region = region.add(Wave(emulators, targets, threshold))

@@ -128,6 +128,11 @@ def calibrate(
     one wave on the given runs, then the posterior (``--from-table``). Raises LacliError with the target that no point
     of the box reaches, if that is so.
     """  # fmt: skip
+    if simulator is not None and settings.first_runs > settings.max_runs:
+        raise UsageError(
+            f"calibrate: the first wave's {settings.first_runs} runs are more than the {settings.max_runs} allowed;"
+            " lower --first-runs or raise --max-runs."
+        )
     begin = time.monotonic()
     folder.mkdir(parents=True, exist_ok=True)
     _same_settings(folder, box, targets, settings, given)
@@ -145,7 +150,9 @@ def calibrate(
         place = folder / f"wave_{number}"
         tick = _ticker(monitor, "emulators", number, reports)
         emulators, notes, finished_x, failed_x = _emulators(log, x, targets, settings, place, tick)
-        wave = Wave(emulators, targets, settings.thresholds[min(number, len(settings.thresholds)) - 1])
+        wave = Wave(
+            emulators, targets.widened(emulators.error_sd), settings.thresholds[min(number, len(settings.thresholds)) - 1]
+        )
         region = region.add(wave)
         monitor(Status("matching", number, 0, 1, tuple(reports)))
         try:
@@ -176,7 +183,7 @@ def calibrate(
         else:
             x = np.vstack([x, _next(box, found.sample, settings, x, finished_x, failed_x, notes)])
     assert emulators is not None
-    density = Density(emulators, targets, region if settings.prior == "nroy" else Region(box))
+    density = Density(emulators, region.waves[-1].targets, region if settings.prior == "nroy" else Region(box))
     chain = _sample(density, settings, samples[-1], folder / "chain.npz", monitor, number, tuple(reports))
     map_x, _ = mcmc.maximum(density, chain)
     table = mcmc.summary(chain, map_x)
@@ -252,7 +259,9 @@ def _emulators(
     table = log.table(x, targets.names)
     missing = [name for name in targets.names if name not in table.outputs]
     if missing or table.inputs != log.inputs:
-        raise LacliError("calibrate: " + " ".join(table.notes))
+        raise LacliError(
+            "calibrate: " + " ".join(table.notes) + " Remove what never varies from the targets or the box, or add runs."
+        )
     table = table.select(targets.names)
     file = place / "emulators.npz"
     if not file.is_file():

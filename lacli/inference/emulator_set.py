@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import zipfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +16,13 @@ from scipy.linalg.blas import dtrmm
 from lacli.errors import InputError
 from lacli.inference import gp
 from lacli.inference.emulator import Emulator
+from lacli.inference.scales import OutputScale
 from lacli.inference.threads import one_thread
 from lacli.store import replacing
 
 FloatArray = NDArray[np.float64]
 
-FORMAT = 1
+FORMAT = 2
 # rows of a block: the block of kernel values of one output stays in the second-level cache
 _BLOCK = 512
 # runs whose correlations bound the variance from above in a first look
@@ -32,29 +33,37 @@ _BATCH = 160
 
 @dataclass(frozen=True)
 class _Stack:
-    """Arrays for prediction. Features phi = (1, t, t^2), t = inputs on the linear scale and those in ``logged`` on the
-    logarithmic one too, in [-1, 1].
+    """Arrays for prediction. Features phi (m, 1 + f) = (1, t), t = inputs on the linear scale and those in ``logged`` on
+    the logarithmic one too, in [-1, 1].
 
-    exponent (p, f, n): phi @ exponent = log of the kernel's correlation with each run; linear (p, f, 1 + q): the mean's
-    and its uncertainty's part linear in phi; weights (p, n, 1 + q): their part linear in the correlations;
-    roots (p, n, n): transposed inverse Cholesky factors times s2, and the same in vertical strips cut off below the
-    diagonal: (last row, (p, rows, columns)); prior (p,): s2 + nugget; nugget (p,); moments (p,) for the output.
+    phi @ exponent (p, 1 + f, n) + t^2 @ square (f, p) = log of the kernel's correlation with each run, for all outputs in
+    one product as all_exponents (1 + f, p n); linear (p, 1 + f, 1 + q): the mean's and its uncertainty's part linear in
+    phi, as all_linear (1 + f, p (1 + q)); weights (p, n, 1 + q): their part linear in the correlations; roots (p, n, n):
+    transposed inverse Cholesky factors times s2, their first rows and columns alone (heads), and vertical strips of them
+    cut off below the diagonal: (last row, (p, rows, columns)); prior (p,): s2 + nugget; nugget (p,); moments (p,) for the
+    output, ``logs``: numbers of the outputs modelled as logarithms.
     """
 
     logged: NDArray[np.int64]
     low: FloatArray
     high: FloatArray
     exponent: FloatArray
+    square: FloatArray
+    all_exponents: FloatArray
     linear: FloatArray
+    all_linear: FloatArray
     weights: FloatArray
     roots: FloatArray
+    heads: FloatArray
     strips: tuple[tuple[int, FloatArray], ...]
     prior: FloatArray
     nugget: FloatArray
     shift: FloatArray
     scale: FloatArray
     inflation: FloatArray
-    log_output: NDArray[np.bool_]
+    offset: FloatArray
+    sign: FloatArray
+    logs: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -76,6 +85,11 @@ class EmulatorSet:
     def runs(self) -> int:
         """Number of training runs."""
         return len(self.emulators[0].process.y)
+
+    @property
+    def error_sd(self) -> FloatArray:
+        """The runs' own errors (p,), one standard deviation in the outputs' units: 0 where none is known."""
+        return np.array([e.error_sd for e in self.emulators])
 
     def range(self) -> tuple[FloatArray, FloatArray]:
         """Lowest and highest training inputs (d,), in their units."""
@@ -106,7 +120,7 @@ class EmulatorSet:
         """Mean (m,) and variance (m,) of output number j at x (m, d)."""
         s: _Stack = self._stack  # type: ignore[attr-defined]
         mean, variance = np.empty((1, len(x))), np.empty((1, len(x)))
-        _blocks(s, [j], _features(s, x), mean, variance)
+        _blocks(s, [j], *_features(s, x), mean, variance)
         _to_outputs(s, [j], mean, variance)
         return mean[0], variance[0]
 
@@ -117,10 +131,9 @@ class EmulatorSet:
         nugget is below it.
         """
         s: _Stack = self._stack  # type: ignore[attr-defined]
-        phi = _features(s, x)
+        phi, squared = _features(s, x)
         n = s.exponent.shape[2]
-        head = min(_HEAD, n)
-        root = np.ascontiguousarray(s.roots[j][:head, :head])
+        head = s.heads.shape[1]
         buffer = np.empty((_BLOCK, n))
         mean, variance = np.empty((2, len(x))), np.empty((2, len(x)))
         for begin in range(0, len(x), _BLOCK):
@@ -128,62 +141,70 @@ class EmulatorSet:
             rows = slice(begin, begin + len(f))
             k = buffer[: len(f)]
             np.dot(f, s.exponent[j], out=k)
+            k += squared[rows, j, None]
             np.exp(k, out=k)
             t = k @ s.weights[j]
             t += f @ s.linear[j]
             w = t[:, 1:]
-            v = k[:, :head] @ root
+            v = k[:, :head] @ s.heads[j]
             mean[:, rows] = t[:, 0]
             variance[0, rows] = s.nugget[j] + np.einsum("ij,ij->i", w, w)
             spread = (s.prior[j] - s.nugget[j]) - np.einsum("ij,ij->i", v, v)
             variance[1, rows] = variance[0, rows] + np.maximum(spread, 0.0)
         _to_outputs(s, [j, j], mean, variance)  # rows: at the least and at the greatest variance
+        if s.sign[j] < 0:  # the mean falls with the variance
+            mean = mean[::-1]
         return mean[0], mean[1], variance[0], variance[1]
 
     def _evaluate(self, x: FloatArray, with_variance: bool) -> tuple[FloatArray, FloatArray]:
         s: _Stack = self._stack  # type: ignore[attr-defined]
         x = np.asarray(x, float)
         m, p = len(x), len(self.emulators)
-        phi = _features(s, x)
-        mean, variance = np.empty((p, m)), np.zeros((p, m))
-        if m <= _BATCH:
-            k = np.matmul(phi, s.exponent)
+        phi, squared = _features(s, x)
+        if m > _BATCH:
+            mean, variance = np.empty((p, m)), np.zeros((p, m))
+            _blocks(s, list(range(p)), phi, squared, mean, variance if with_variance else None)
+        else:
+            k = (phi @ s.all_exponents).reshape(m, p, -1)
+            k += squared[:, :, None]
             np.exp(k, out=k)
+            k = k.transpose(1, 0, 2)
+            linear = (phi @ s.all_linear).reshape(m, p, -1).transpose(1, 0, 2)
             if with_variance:
                 t = np.matmul(k, s.weights)
-                t += np.matmul(phi, s.linear)
-                mean[:] = t[:, :, 0]
+                t += linear
+                mean = t[:, :, 0].copy()
                 w = t[:, :, 1:]
-                np.einsum("pmq,pmq->pm", w, w, out=variance)
+                variance = np.einsum("pmq,pmq->pm", w, w)
                 variance += s.prior[:, None]
                 for end, strip in s.strips:
                     v = np.matmul(k[:, :, :end], strip)
                     variance -= np.einsum("pmn,pmn->pm", v, v)
             else:
-                mean[:] = np.matmul(k, s.weights[:, :, :1])[:, :, 0] + np.matmul(phi, s.linear[:, :, :1])[:, :, 0]
-        else:
-            _blocks(s, list(range(p)), phi, mean, variance if with_variance else None)
-        _to_outputs(s, list(range(p)), mean, variance)
+                mean = np.matmul(k, s.weights[:, :, :1])[:, :, 0] + linear[:, :, 0]
+                variance = np.zeros((p, m))
+        _to_outputs(s, slice(None), mean, variance)
         return mean.T, variance.T
 
 
-def _features(s: _Stack, x: FloatArray) -> FloatArray:
+def _features(s: _Stack, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Features phi (m, 1 + f) of x (m, d), and the part (m, p) of the log correlations that is the same for all runs."""
     d = x.shape[1]
-    logs = len(s.low) - d
-    phi = np.empty((len(x), 1 + 2 * len(s.low)))
+    phi = np.empty((len(x), 1 + len(s.low)))
     phi[:, 0] = 1.0
-    t = phi[:, 1 : 1 + d + logs]
+    t = phi[:, 1:]
     t[:, :d] = x
-    if logs:
+    if len(s.logged):
         np.log(x[:, s.logged], out=t[:, d:])
     t -= s.low
     t *= 2.0 / (s.high - s.low)
     t -= 1.0
-    np.square(t, out=phi[:, 1 + d + logs :])
-    return phi
+    return phi, (t * t) @ s.square
 
 
-def _blocks(s: _Stack, which: list[int], phi: FloatArray, mean: FloatArray, variance: FloatArray | None) -> None:
+def _blocks(
+    s: _Stack, which: list[int], phi: FloatArray, squared: FloatArray, mean: FloatArray, variance: FloatArray | None
+) -> None:
     """Fill mean and variance (len(which), m) output by output, in blocks of points that fit in cache."""
     n = s.exponent.shape[2]
     buffer = np.empty((_BLOCK, n))
@@ -193,6 +214,7 @@ def _blocks(s: _Stack, which: list[int], phi: FloatArray, mean: FloatArray, vari
         rows = slice(begin, begin + len(f))
         for i, j in enumerate(which):
             np.dot(f, s.exponent[j], out=k)
+            k += squared[rows, j, None]
             np.exp(k, out=k)
             if variance is None:
                 mean[i, rows] = k @ s.weights[j, :, 0] + f @ s.linear[j, :, 0]
@@ -206,17 +228,23 @@ def _blocks(s: _Stack, which: list[int], phi: FloatArray, mean: FloatArray, vari
             variance[i, rows] = s.prior[j] - np.einsum("ij,ij->i", k, k) + np.einsum("ij,ij->i", w, w)
 
 
-def _to_outputs(s: _Stack, which: list[int], mean: FloatArray, variance: FloatArray) -> None:
-    """The processes' moments -> the outputs', in place."""
+def _to_outputs(s: _Stack, which: list[int] | slice, mean: FloatArray, variance: FloatArray) -> None:
+    """The processes' moments (len(which), m) -> the outputs', in place."""
     # rounding may leave a variance a hair under the nugget's; it cannot be less than a part of the prior's
     np.maximum(variance, 1e-12 * s.prior[which, None], out=variance)
     mean *= s.scale[which, None]
     mean += s.shift[which, None]
     variance *= (s.inflation * s.scale**2)[which, None]
-    for i, j in enumerate(which):
-        if s.log_output[j]:
-            mean[i] = np.exp(mean[i] + 0.5 * variance[i])
-            variance[i] = np.expm1(variance[i]) * mean[i] ** 2
+    if isinstance(which, slice):
+        rows, logs = s.logs, s.logs
+    else:
+        rows = np.flatnonzero(np.isin(which, s.logs))
+        logs = np.array(which, np.int64)[rows]
+    if len(rows):
+        v = variance[rows]
+        e = np.exp(mean[rows] + 0.5 * v)
+        mean[rows] = s.sign[logs, None] * (e - s.offset[logs, None])
+        variance[rows] = np.expm1(v) * e**2
 
 
 def _stack(emulators: Sequence[Emulator]) -> _Stack:
@@ -231,7 +259,7 @@ def _stack(emulators: Sequence[Emulator]) -> _Stack:
     low = np.r_[x_low, np.log(x_low[logged])]
     high = np.r_[x_high, np.log(x_high[logged])]
     f = len(low)
-    exponent, linear, weights, roots = [], [], [], []
+    exponent, square, linear, weights, roots = [], [], [], [], []
     for e in emulators:
         g = e.process
         column = np.where(e.log_inputs, place, np.arange(d))  # the feature that carries input j
@@ -240,15 +268,16 @@ def _stack(emulators: Sequence[Emulator]) -> _Stack:
         b = 2.0 * (low[column] - e.low) / (e.high - e.low) + a - 1.0
         inverse = 1.0 / g.lengths**2
         shifted = g.u - b
-        w = np.zeros((1 + 2 * f, n))
+        w, of_square = np.zeros((1 + f, n)), np.zeros(f)
         w[0] = -0.5 * (shifted**2 * inverse).sum(1)
         w[1 + column] = (shifted * (a * inverse)).T
-        w[1 + f + column] = (-0.5 * a**2 * inverse)[:, None]
-        to_h = np.zeros((1 + 2 * f, 1 + d))
+        of_square[column] = -0.5 * a**2 * inverse
+        to_h = np.zeros((1 + f, 1 + d))
         to_h[0, 0] = 1.0
         to_h[0, 1:] = b
         to_h[1 + column, 1 + np.arange(d)] = a
         exponent.append(w)
+        square.append(of_square)
         linear.append(np.hstack([(to_h @ g.beta)[:, None], to_h @ g.c.T]))
         weights.append(g.s2 * np.hstack([g.alpha[:, None], -(g.c @ g.g).T]))
         roots.append(np.ascontiguousarray(g.s2 * g.inverse_factor.T))
@@ -257,11 +286,14 @@ def _stack(emulators: Sequence[Emulator]) -> _Stack:
     stacked = np.array(roots)
     strips = tuple((int(b), np.ascontiguousarray(stacked[:, :b, a:b])) for a, b in itertools.pairwise(ends))
     return _Stack(
-        logged=logged, low=low, high=high, exponent=np.array(exponent), linear=np.array(linear), weights=np.array(weights),
-        roots=stacked, strips=strips, nugget=np.array([e.process.nugget for e in emulators]),
+        logged=logged, low=low, high=high, exponent=np.array(exponent), square=np.array(square).T.copy(),
+        all_exponents=np.hstack(exponent), linear=np.array(linear), all_linear=np.hstack(linear), weights=np.array(weights),
+        roots=stacked, heads=stacked[:, :_HEAD, :_HEAD].copy(), strips=strips,
+        nugget=np.array([e.process.nugget for e in emulators]),
         prior=np.array([e.process.s2 + e.process.nugget for e in emulators]),
         shift=np.array([e.shift for e in emulators]), scale=np.array([e.scale for e in emulators]),
-        inflation=np.array([e.inflation for e in emulators]), log_output=np.array([e.log_output for e in emulators]),
+        inflation=np.array([e.inflation for e in emulators]), offset=np.array([e.output_scale.offset for e in emulators]),
+        sign=np.array([e.output_scale.sign for e in emulators]), logs=np.flatnonzero([e.output_scale.log for e in emulators]),
     )  # fmt: skip
 
 
@@ -273,7 +305,8 @@ def save_emulators(path: Path, emulators: EmulatorSet) -> None:
     for i, e in enumerate(emulators.emulators):
         arrays |= {
             f"{i}_log_inputs": e.log_inputs, f"{i}_low": e.low, f"{i}_high": e.high,
-            f"{i}_scales": np.array([e.log_output, e.shift, e.scale, e.inflation, e.held_out_r2, e.process.objective], float),
+            f"{i}_scales": np.array([*astuple(e.output_scale), e.shift, e.scale], float),
+            f"{i}_quality": np.array([e.inflation, e.held_out_r2, e.error_sd, e.process.objective], float),
             f"{i}_theta": e.process.theta, f"{i}_u": e.process.u, f"{i}_y": e.process.y, f"{i}_noise": e.process.noise,
         }  # fmt: skip
     with replacing(Path(path)) as temporary, temporary.open("wb") as stream:
@@ -293,10 +326,15 @@ def load_emulators(path: Path) -> EmulatorSet:
                 )
             emulators = []
             for i, output in enumerate(a["outputs"]):
-                log_output, shift, scale, inflation, r2, objective = (float(v) for v in a[f"{i}_scales"])
+                log, offset, sign, shift, scale = (float(v) for v in a[f"{i}_scales"])
+                inflation, r2, error_sd, objective = (float(v) for v in a[f"{i}_quality"])
                 process = gp.condition(a[f"{i}_theta"], a[f"{i}_u"], a[f"{i}_y"], a[f"{i}_noise"], objective)
-                scales = (a[f"{i}_log_inputs"], a[f"{i}_low"], a[f"{i}_high"], bool(log_output))
-                emulators.append(Emulator(str(output), *scales, shift, scale, inflation, r2, process))
+                emulators.append(
+                    Emulator(
+                        str(output), a[f"{i}_log_inputs"], a[f"{i}_low"], a[f"{i}_high"],
+                        OutputScale(bool(log), offset, sign), shift, scale, inflation, r2, error_sd, process,
+                    )
+                )  # fmt: skip
             return EmulatorSet(tuple(str(name) for name in a["inputs"]), tuple(emulators))
     except (KeyError, ValueError, OSError, zipfile.BadZipFile, np.linalg.LinAlgError) as error:
         raise InputError(f"{path}: not an emulator file, or a damaged one ({error}). Run `lacli emulate` again.") from error

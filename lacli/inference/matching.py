@@ -35,10 +35,14 @@ class Wave:
     targets: Targets
     threshold: float
 
+    def signed(self, x: FloatArray) -> FloatArray:
+        """(E f - mu) / sqrt(Var f + sigma^2) (m, p) of each output at x (m, d)."""
+        mean, variance = self.emulators.predict(x)
+        return (mean - self.targets.mean) / np.sqrt(variance + self.targets.sd**2)
+
     def implausibility(self, x: FloatArray) -> FloatArray:
         """I (m, p) of each output at x (m, d); its maximum over the outputs is the wave's implausibility."""
-        mean, variance = self.emulators.predict(x)
-        return np.abs(mean - self.targets.mean) / np.sqrt(variance + self.targets.sd**2)
+        return np.abs(self.signed(x))
 
     def level(self, x: FloatArray) -> FloatArray:
         """max over outputs of I / threshold (m,): below 1 where the wave rules nothing out."""
@@ -104,6 +108,10 @@ class Region:
             result[rows] = wave.below(x[rows], t)
         return result
 
+    def values(self, x: FloatArray) -> FloatArray:
+        """Signed implausibilities over thresholds (m, q) of all outputs and waves; the largest modulus is the level."""
+        return np.hstack([wave.signed(x) / wave.threshold for wave in self.waves])
+
     def contains(self, x: FloatArray) -> NDArray[np.bool_]:
         """Whether points (m, d) are in the box and not ruled out."""
         inside = self.box.contains(x)
@@ -124,7 +132,8 @@ class Region:
         start: FloatArray | None = None,
     ) -> RegionSample:
         """``count`` points uniform in the region and its volume; see ``nroy.sample_region``."""
-        return sample_region(self.level, self.box, count, seed, walkers, tick, self.below, start)
+        values = self.values if self.waves else None
+        return sample_region(self.level, self.box, count, seed, walkers, tick, self.below, start, values)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,5 @@
-"""The ensemble move: several independent ensembles in one, differences of walkers, long cheap detours before a dear step."""
+"""The ensemble move: several independent ensembles in one, differences of walkers, jumps, long cheap detours before a dear
+step."""
 
 from __future__ import annotations
 
@@ -9,8 +10,11 @@ import numpy as np
 from emcee.moves import Move
 from numpy.typing import NDArray
 
+from lacli.inference.mixture import Mixture
+
 FloatArray = NDArray[np.float64]
 _JITTER = 1e-5
+_JUMPS = 0.1  # share of the steps that are jumps
 
 
 class EnsemblesMove(Move):
@@ -19,13 +23,21 @@ class EnsemblesMove(Move):
     Half of a group moves, by differences of two walkers of its other half. With a ``surrogate`` (an approximate log
     density), each walker first makes ``detour`` such steps under the surrogate; where it arrives is then accepted with
     probability min(1, pi(y) s(x) / (pi(x) s(y))) (surrogate transition, Liu 2001, section 9.4.3): the target is exactly
-    pi, and each evaluation of pi is spent on a nearly independent point. ``scale`` (d,): the box's size, for the jitter.
+    pi, and each evaluation of pi is spent on a nearly independent point. With a ``mixture`` (fixed), some steps are jumps
+    to a point of it, accepted by Metropolis and Hastings's rule: a walker in a separate part of the density, where no
+    difference of others reaches, still exchanges with the rest. ``scale`` (d,): the box's size, for the jitter.
     """
 
     def __init__(
-        self, ensembles: int, scale: FloatArray, surrogate: Callable[[FloatArray], FloatArray] | None = None, detour: int = 40
+        self,
+        ensembles: int,
+        scale: FloatArray,
+        surrogate: Callable[[FloatArray], FloatArray] | None = None,
+        detour: int = 40,
+        mixture: Mixture | None = None,
     ) -> None:
         self.ensembles, self.scale, self.surrogate, self.detour = ensembles, scale, surrogate, detour
+        self.mixture = mixture
 
     def propose(self, model: Any, state: Any) -> tuple[Any, NDArray[np.bool_]]:
         """One step of all walkers; called by emcee, which hands over its random generator and density."""
@@ -40,6 +52,8 @@ class EnsemblesMove(Move):
             x = state.coords[rows]
             if self.surrogate is None:
                 y, correction = x + self._steps(rng, state.coords, other, mine.shape[1], 1)[0], np.zeros(len(x))
+                if self.mixture is not None and rng.random_sample() < _JUMPS:
+                    y, correction = self._jump(rng, x, self.mixture)
             else:
                 y, correction = self._detour(rng, x, self._steps(rng, state.coords, other, mine.shape[1], self.detour))
             log_prob, _ = model.compute_log_prob_fn(y)
@@ -73,10 +87,17 @@ class EnsemblesMove(Move):
         start = self.surrogate(x)
         value = start.copy()
         thresholds = np.log(rng.random_sample(steps.shape[:2]))
-        for step, threshold in zip(steps, thresholds, strict=True):
-            new = y + step
+        # each step's kind is drawn anew, so that the chain of them is the same forth and back, as the correction needs
+        jumps = rng.random_sample(len(steps)) < (_JUMPS if self.mixture is not None else 0.0)
+        for step, threshold, jump in zip(steps, thresholds, jumps, strict=True):
+            new, factor = self._jump(rng, y, self.mixture) if jump and self.mixture is not None else (y + step, 0.0)
             new_value = self.surrogate(new)
-            good = threshold < new_value - value
+            good = threshold < new_value - value + factor
             y[good] = new[good]
             value[good] = new_value[good]
         return y, start - value
+
+    def _jump(self, rng: Any, x: FloatArray, mixture: Mixture) -> tuple[FloatArray, FloatArray]:
+        """Points (m, d) of the mixture for walkers at x, and log q(x) - log q(y) (m,)."""
+        y = mixture.sample(rng, len(x))
+        return y, mixture.log_density(x) - mixture.log_density(y)

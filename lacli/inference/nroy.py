@@ -5,6 +5,10 @@ t_1 > t_2 > ... > 1 of a function whose value is below 1 inside the region. At e
 replaced by copies of points below, and all are moved by Markov steps that leave the uniform distribution on
 {level < t} unchanged, until they have forgotten where they were copied from. The region's volume is the product
 of the shares that survived.
+
+Where the level is the largest of several smooth values, polynomials of these guide the steps: a walker goes a long way
+under the polynomials' level, which costs next to nothing, and where it arrives is accepted with the probability that makes
+the target exactly uniform again (surrogate transition, Liu 2001, section 9.4.3).
 """
 
 from __future__ import annotations
@@ -17,17 +21,22 @@ from numpy.typing import NDArray
 
 from lacli.errors import LacliError
 from lacli.inference.box import Box
+from lacli.inference.polynomial import Polynomial, fit_polynomial
 from lacli.inference.threads import single_threaded
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 Level = Callable[[FloatArray], FloatArray]
 Below = Callable[[FloatArray, float], BoolArray]
+Values = Callable[[FloatArray], FloatArray]
 
 _SURVIVE = 0.25  # share of the population below the next level
 _FADED = 0.3  # correlation with the start below which a level's moves stop
 _FORGOTTEN = 0.3  # the same between two states that are kept
 _MAX_STEPS = 400
+_DETOUR = 40  # cheap steps before a dear one
+# a guide whose level is off by more than this (standard deviation, relative to the level) is refused too often to pay
+_GUIDE_ERROR = 0.15
 _SMALLEST = 1e-14  # volume at which a region counts as empty
 
 
@@ -65,19 +74,22 @@ def sample_region(
     tick: Callable[[float], None] | None = None,
     below: Below | None = None,
     start: FloatArray | None = None,
+    values: Values | None = None,
 ) -> RegionSample:
     """``count`` points uniform on {level < 1} within the box.
 
-    level: (m, d) -> (m,); below(x, t): whether level(x) < t, where that is cheaper than the level itself.
+    level: (m, d) -> (m,); below(x, t): whether level(x) < t, where that is cheaper than the level itself; values:
+    (m, d) -> (m, q), signed, smooth, whose largest modulus is the level: with it the steps are guided.
     walkers: size of the population. tick(t) is called with each level. Raises EmptyRegionError if the levels stop
     falling before 1. start (m, d): points already known to be uniform in the region (and m >= walkers); the levels are
     then skipped and the volume is NaN.
     """
     rng = np.random.default_rng(seed)
-    population = _Population(level, below or (lambda x, t: level(x) < t), box, rng, walkers)
+    population = _Population(level, below or (lambda x, t: level(x) < t), values, box, rng, walkers)
     volume, relative = 1.0, 0.0
     if start is not None and len(start) >= walkers:
         population.x = start[rng.permutation(len(start))[:walkers]]
+        population.measure()
         population.restart(np.arange(walkers), 1.0)
         population.forget(_FORGOTTEN)
         volume = float("nan")
@@ -102,16 +114,17 @@ def sample_region(
         population.forget(_FADED if t > 1.0 else 0.1)
         if t <= 1.0:
             break
-    kept = [population.x.copy()]
+    kept, levels = [population.x.copy()], [population.value.copy()]
     correlation = 0.0
     while sum(map(len, kept)) < count:
         population.restart(np.arange(walkers), 1.0)
         correlation = max(correlation, population.forget(_FORGOTTEN))
         kept.append(population.x.copy())
+        levels.append(population.value.copy())
     x = np.vstack(kept)
     pick = np.sort(rng.permutation(len(x))[:count])
     return RegionSample(
-        points=x[pick], level=level(x[pick]), volume=volume, volume_sd=volume * float(np.sqrt(relative)),
+        points=x[pick], level=np.concatenate(levels)[pick], volume=volume, volume_sd=volume * float(np.sqrt(relative)),
         acceptance=population.acceptance, correlation=correlation, evaluations=population.evaluations,
     )  # fmt: skip
 
@@ -123,19 +136,32 @@ class _Population:
     distribution unchanged (differential evolution Monte Carlo, ter Braak 2006, on an indicator).
     """
 
-    def __init__(self, level: Level, below: Below, box: Box, rng: np.random.Generator, walkers: int) -> None:
-        self.level, self.below, self.box, self.rng = level, below, box, rng
+    def __init__(
+        self, level: Level, below: Below, values: Values | None, box: Box, rng: np.random.Generator, walkers: int
+    ) -> None:
+        self.level, self.below, self.values, self.box, self.rng = level, below, values, box, rng
         self.x = box.uniform(walkers, rng)
-        self.value = level(self.x)
+        self.value = np.full(walkers, np.inf)
+        self.guide: _Guide | None = None
         self.t = np.inf
+        self.measure()
         self.start = self.x
         self.acceptance = 1.0
         self.evaluations = walkers
 
     def restart(self, chosen: NDArray[np.int64], t: float) -> None:
         """Continue from the chosen walkers at level t."""
-        self.x, self.t = self.x[chosen], t
+        self.x, self.value, self.t = self.x[chosen], self.value[chosen], t
         self.start = self.x.copy()
+
+    def measure(self) -> None:
+        """Find the walkers' levels; fit a guide where the values behind them are known."""
+        if self.values is None:
+            self.value = self.level(self.x)
+        else:
+            values = self.values(self.x)
+            self.value = np.abs(values).max(1)
+            self.guide = _fit_guide(self.x, values, self.box)
 
     def forget(self, target: float) -> float:
         """Move until the correlation of the walkers with where they started is below target; return it."""
@@ -143,10 +169,11 @@ class _Population:
         for step in range(1, _MAX_STEPS + 1):
             accepted += self._sweep(local=step % 2 == 0)
             proposed += len(self.x)
-            if step % 4 == 0 and (correlation := self._correlation()) < target:
+            if (step % 4 == 0 or self.guide is not None) and (correlation := self._correlation()) < target:
                 break
         self.acceptance = accepted / proposed
-        self.value = self.level(self.x)
+        if self.guide is None or self.t > 1.0:  # with a guide the levels are known, and in the region it has settled
+            self.measure()
         return correlation
 
     def _correlation(self) -> float:
@@ -160,13 +187,40 @@ class _Population:
         accepted = 0
         for mine, other in ((order[:half], order[half:]), (order[half:], order[:half])):
             x, rest = self.x[mine], self.x[other]
-            new, possible = self._local(x, rest) if local else self._global(x, rest)
-            rows = np.flatnonzero(possible & self.box.contains(new))
+            if self.guide is None:
+                new, possible = self._local(x, rest) if local else self._global(x, rest)
+                possible &= self.box.contains(new)
+            else:
+                new, possible = self._detour(x, rest, self.guide)
+            rows = np.flatnonzero(possible)
             self.evaluations += len(rows)
-            rows = rows[self.below(new[rows], self.t)]
+            if self.guide is None:
+                rows = rows[self.below(new[rows], self.t)]
+            else:  # most arrive below the level: trying to see soon that they do not would not pay
+                value = self.level(new[rows])
+                good = value < self.t
+                rows = rows[good]
+                self.value[mine[rows]] = value[good]
             self.x[mine[rows]] = new[rows]
             accepted += len(rows)
         return accepted
+
+    def _detour(self, x: FloatArray, rest: FloatArray, guide: _Guide) -> tuple[FloatArray, BoolArray]:
+        """End points of chains under the guide's log density s, and whether they pass the part of the acceptance that is not
+        the level's: a uniform number below s(x) / s(y)."""
+        y = x.copy()
+        begin = value = guide.log_density(x, self.t)
+        # the kind of a step is drawn: a fixed order of two kinds would not be the same forth and back, as the acceptance needs
+        for local in self.rng.random(_DETOUR) < 0.25:
+            new, possible = self._local(y, rest) if local else self._global(y, rest)
+            rows = np.flatnonzero(possible & self.box.contains(new))
+            proposed = guide.log_density(new[rows], self.t)
+            good = np.log(self.rng.random(len(rows))) < proposed - value[rows]
+            rows = rows[good]
+            y[rows] = new[rows]
+            value = value.copy()
+            value[rows] = proposed[good]
+        return y, np.log(self.rng.random(len(x))) < begin - value
 
     def _lengths(self, m: int) -> FloatArray:
         # around the optimal size for a d-dimensional body, spread over half a decade
@@ -203,6 +257,30 @@ class _Population:
         b = rest[by_cell[np.minimum(begin[mine] + second, last)]]
         new = x + self._lengths(m)[:, None] * (a - b)
         return new, (size[mine] > self.box.d + 1) & (_nearest(new / spread, centres) == mine)
+
+
+@dataclass(frozen=True)
+class _Guide:
+    """Polynomials of the values, and the relative error of their level (standard deviation at points kept out)."""
+
+    polynomial: Polynomial
+    error: float
+
+    def log_density(self, x: FloatArray, t: float) -> FloatArray:
+        """0 (m,) where the polynomials' level is below t, falling outside as slowly as it is uncertain where that is."""
+        beyond = np.abs(self.polynomial(x)).max(1) / t - 1.0
+        return np.asarray(-np.maximum(beyond, 0.0) / max(self.error, 1e-3), float)
+
+
+def _fit_guide(x: FloatArray, values: FloatArray, box: Box) -> _Guide | None:
+    """A guide from the values (m, q) at the walkers x (m, d), None where polynomials do not follow them."""
+    copies = np.random.default_rng(0).permutation(len(x))  # walkers of one origin are not side by side
+    kept_out, used = copies[: len(x) // 5], copies[len(x) // 5 :]
+    polynomial = fit_polynomial(x[used], values[used], box.lower, box.upper, np.zeros(box.d, bool))
+    exact = np.abs(values[kept_out]).max(1)
+    off = (np.abs(polynomial(x[kept_out])).max(1) - exact) / np.maximum(exact, np.median(exact))
+    error = float(off.std())
+    return _Guide(polynomial, error) if error < _GUIDE_ERROR else None
 
 
 def _nearest(x: FloatArray, centres: FloatArray) -> NDArray[np.int64]:

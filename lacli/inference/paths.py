@@ -45,5 +45,4 @@ def draw_functions(emulator: Emulator, x: FloatArray, draws: int, seed: int) -> 
         mean = h @ g.beta + k @ g.alpha
         draw = prior(u) + h @ beta + k @ solved
         values[begin : begin + 2048] = mean[:, None] + np.sqrt(emulator.inflation) * (draw - mean[:, None])
-    values = emulator.shift + emulator.scale * values
-    return np.exp(values) if emulator.log_output else values
+    return emulator.output_scale.backward(emulator.shift + emulator.scale * values)

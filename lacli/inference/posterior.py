@@ -6,7 +6,7 @@ import hashlib
 import warnings
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 
 import emcee
@@ -17,6 +17,7 @@ from scipy.stats import qmc
 
 from lacli.errors import InputError, LacliError
 from lacli.inference.likelihood import Density
+from lacli.inference.mixture import fit_mixture
 from lacli.inference.moves import EnsemblesMove
 from lacli.inference.surrogate import fit_surrogate
 from lacli.inference.threads import single_threaded
@@ -24,7 +25,7 @@ from lacli.store import replacing
 
 FloatArray = NDArray[np.float64]
 
-_FORMAT = 1
+_FORMAT = 2
 _TUNING = 200  # steps of plain moves before anything is kept
 _ROUND = 50  # steps between saves
 # a stand-in whose log likelihood is off by more than this is accepted too seldom to pay
@@ -205,7 +206,8 @@ def _move(density: Density, settings: Settings, points: FloatArray | None) -> En
     if points is not None:
         fitted, error = fit_surrogate(density, points)
         surrogate = fitted if error < _SURROGATE_ERROR else None
-    return EnsemblesMove(settings.ensembles, box.upper - box.lower, surrogate)
+    mixture = None if points is None else fit_mixture(points, box.upper - box.lower)
+    return EnsemblesMove(settings.ensembles, box.upper - box.lower, surrogate, mixture=mixture)
 
 
 def starting_walkers(density: Density, count: int, rng: np.random.Generator, start: FloatArray | None) -> FloatArray:
@@ -287,7 +289,7 @@ def chain_key(density: Density, settings: Settings) -> str:
         a
         for s in sets
         for e in s.emulators
-        for a in (e.process.theta, e.process.y, e.process.u, np.array([e.inflation, e.shift, e.scale]))
+        for a in (e.process.theta, e.process.y, e.process.u, np.array([e.inflation, e.shift, e.scale, *astuple(e.output_scale)]))
     ]
     for array in arrays:
         digest.update(np.ascontiguousarray(array, float).tobytes())

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lacli.inference.likelihood import Density, gaussian_log_likelihood
+from lacli.inference.polynomial import Polynomial, fit_polynomial
 
 FloatArray = NDArray[np.float64]
 
@@ -18,17 +19,12 @@ _STEEP = 30.0
 class Surrogate:
     """Cubic polynomials for the emulators' means and log variances on the inputs' scales.
 
-    low, high (d,), log_inputs (d,): scale to [-1, 1]; coefficients (terms, 2 p); floor, ceiling (p,) of the log
-    variance; threshold on the implausibility from which the density is zero (infinite where that is not for these
-    emulators to say).
+    polynomial: (m, d) -> (m, 2 p); floor, ceiling (p,) of the log variance; threshold on the implausibility from which
+    the density is zero (infinite where that is not for these emulators to say).
     """
 
     density: Density
-    low: FloatArray
-    high: FloatArray
-    log_inputs: NDArray[np.bool_]
-    cubic: bool
-    coefficients: FloatArray
+    polynomial: Polynomial
     floor: FloatArray
     ceiling: FloatArray
     threshold: float
@@ -40,7 +36,7 @@ class Surrogate:
         rows = np.flatnonzero(self.density.region.box.contains(x))
         if not len(rows):
             return value
-        fitted = _features(x[rows], self.low, self.high, self.log_inputs, self.cubic) @ self.coefficients
+        fitted = self.polynomial(x[rows])
         p = len(self.floor)
         variance = np.exp(np.clip(fitted[:, p:], self.floor, self.ceiling))
         targets = self.density.targets
@@ -59,40 +55,15 @@ def fit_surrogate(density: Density, x: FloatArray) -> tuple[Surrogate, float]:
     box = density.region.box
     votes = np.mean([e.log_inputs for e in density.emulators.emulators], axis=0)
     log_inputs = (votes > 0.5) & (box.lower > 0)
-    low, high = box.lower.copy(), box.upper.copy()
-    low[log_inputs], high[log_inputs] = np.log(low[log_inputs]), np.log(high[log_inputs])
-    d = box.d
-    cubic = len(x) >= 4 * ((d + 1) * (d + 2) * (d + 3) // 6)
     mean, variance = density.emulators.predict(x)
     y = np.hstack([mean, np.log(variance)])
-    f = _features(x, low, high, log_inputs, cubic)
     kept_out = np.zeros(len(x), bool)
     kept_out[::5] = True
-    # a little ridge keeps directions that the points do not cover from swinging
-    a, b = f[~kept_out], y[~kept_out]
-    ridge = 1e-6 * len(a) * np.eye(f.shape[1])
-    coefficients = np.linalg.solve(a.T @ a + ridge, a.T @ b)
+    polynomial = fit_polynomial(x[~kept_out], y[~kept_out], box.lower, box.upper, log_inputs)
     p = len(density.targets.mean)
     log_variance = y[:, p:]
     waves = density.region.waves
     own = [w.threshold for w in waves if w.emulators is density.emulators and w.targets is density.targets]
-    result = Surrogate(
-        density, low, high, log_inputs, cubic, coefficients, log_variance.min(0) - 0.5, log_variance.max(0) + 0.5,
-        min(own, default=np.inf),
-    )  # fmt: skip
+    result = Surrogate(density, polynomial, log_variance.min(0) - 0.5, log_variance.max(0) + 0.5, min(own, default=np.inf))
     error = result(x[kept_out]) - gaussian_log_likelihood(mean[kept_out], variance[kept_out], density.targets)
     return result, float(error.std())
-
-
-def _features(x: FloatArray, low: FloatArray, high: FloatArray, log_inputs: NDArray[np.bool_], cubic: bool) -> FloatArray:
-    t = x.copy()
-    t[:, log_inputs] = np.log(t[:, log_inputs])
-    t = 2.0 * (t - low) / (high - low) - 1.0
-    d = t.shape[1]
-    columns = [np.ones((len(t), 1)), t]
-    squares = [t[:, i : i + 1] * t[:, i:] for i in range(d)]
-    columns += squares
-    if cubic:
-        for i in range(d):
-            columns += [t[:, i : i + 1] * squares[j] for j in range(i, d)]
-    return np.hstack(columns)

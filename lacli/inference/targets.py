@@ -33,6 +33,11 @@ class Targets:
         j = [self.names.index(name) for name in names]
         return Targets(tuple(names), self.mean[j], self.sd[j])
 
+    def widened(self, error_sd: FloatArray) -> Targets:
+        """The targets with the simulator's own error (p,), one standard deviation, added to their uncertainty: what a run
+        says differs from the truth by both."""
+        return Targets(self.names, self.mean, np.hypot(self.sd, error_sd)) if error_sd.any() else self
+
 
 def read_targets(path: Path) -> Targets:
     """Read ``targets.toml``: a table for each feature with ``mean`` and ``sd``, at the top or under ``[targets]``.

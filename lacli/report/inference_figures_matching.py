@@ -21,11 +21,14 @@ _CELLS = 20
 _POINTS = 60_000
 
 
-def region_figure(region: Region, path: Path, seed: int = 0, sample: FloatArray | None = None) -> Path:
+def region_figure(
+    region: Region, path: Path, seed: int = 0, sample: FloatArray | None = None, share: float | None = None
+) -> Path:
     """Pairs of inputs: below the diagonal the least implausibility over the other inputs (divided by the threshold; over 1
     is ruled out), above it the optical depth (share of the other inputs' values not ruled out).
 
-    sample (m, d): points of the region added to the background, so that a region too small for it still shows.
+    sample (m, d): points uniform in the region, and its share of the box: with them a region too small for the points of
+    the box still shows, its depth counted from the sample. The ranges of the axes stand on the diagonal.
     """
     box = region.box
     x = box.uniform(_POINTS, np.random.default_rng(seed))
@@ -54,7 +57,7 @@ def region_figure(region: Region, path: Path, seed: int = 0, sample: FloatArray 
                     axis.text(
                         0.5,
                         0.5,
-                        label(box.names[i]).replace(" ", "\n"),
+                        label(box.names[i]).replace(" ", "\n") + f"\n{box.lower[i]:g} to {box.upper[i]:g}",
                         ha="center",
                         va="center",
                         fontsize=6,
@@ -70,8 +73,15 @@ def region_figure(region: Region, path: Path, seed: int = 0, sample: FloatArray 
                 else:
                     count = np.bincount(flat, weight, _CELLS**2)
                     inside = np.bincount(flat, weight * (level < 1.0), _CELLS**2)
-                    share = (inside / np.maximum(count, 1.0)).reshape(_CELLS, _CELLS)
-                    depth = axis.imshow(share, origin="lower", cmap="magma", vmin=0.0, aspect="auto", vmax=None)
+                    if sample is not None and share is not None:
+                        # P(inside | cell) = P(cell | inside) P(inside) / P(cell)
+                        sampled = np.bincount(flat[_POINTS:], minlength=_CELLS**2) / len(sample)
+                        ratio = np.minimum(share * sampled / np.maximum(count / _POINTS, 0.5 / _POINTS), 1.0)
+                    else:
+                        ratio = inside / np.maximum(count, 1.0)
+                    depth = axis.imshow(
+                        ratio.reshape(_CELLS, _CELLS), origin="lower", cmap="magma", vmin=0.0, aspect="auto", vmax=None
+                    )
         if depth is not None and least is not None:
             peak = max(image.get_array().max() for axis in axes[np.triu_indices(d, 1)] for image in axis.images)
             for axis in axes[np.triu_indices(d, 1)]:

@@ -6,6 +6,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from lacli.inference.scales import OutputScale
+
 
 class ExactEmulators:
     """mean, variance: (m, d) -> (m, p)."""
@@ -15,7 +17,9 @@ class ExactEmulators:
         self.outputs = tuple(f"y{j}" for j in range(p))
         self.mean, self.variance = mean, variance or (lambda x: np.zeros((len(x), p)))
         process = SimpleNamespace(theta=np.zeros(1), y=np.zeros(1), u=np.zeros((1, d)))
-        entry = SimpleNamespace(log_inputs=np.zeros(d, bool), process=process, inflation=1.0, shift=0.0, scale=1.0)
+        entry = SimpleNamespace(
+            log_inputs=np.zeros(d, bool), process=process, inflation=1.0, shift=0.0, scale=1.0, output_scale=OutputScale()
+        )
         self.emulators = (entry,) * p
         self.d = d
 

@@ -175,3 +175,23 @@ def test_runs_done_elsewhere(tmp_path):
     for row, truth in zip(result.table, TRUTH, strict=True):
         assert row["low95"] < truth < row["high95"]
     assert json.loads((tmp_path / "out" / "result.json").read_text())["waves"][0]["runs"] == 60
+
+
+def test_a_first_wave_beyond_the_budget_is_refused(tmp_path):
+    with pytest.raises(UsageError, match="40 runs are more than the 30 allowed"):
+        run(tmp_path, Simulator(), replace(SETTINGS, max_runs=30))
+
+
+def test_known_discretisation_errors_reach_emulator_and_likelihood(tmp_path):
+    from lacli.inference.design import design
+
+    x = design(BOX, 60)
+    frame = pd.DataFrame(np.c_[x, function(x)], columns=[*BOX.names, *NAMES])
+    frame["d_two_mm_discretisation_error"] = 0.3
+    frame.to_csv(tmp_path / "table.csv", index=False)
+    log = RunLog(tmp_path / "table.csv", BOX.names, NAMES)
+    result = calibrate(None, BOX, targets(), SETTINGS, tmp_path / "out", log, given=x)
+    assert result.emulators.error_sd == pytest.approx([0.0, 0.0, 0.3])
+    # d_two alone tells b = 4 / (d_two - c / 2) = 4 / 2 at the truth: db = 4 / 2^2 * 0.3 = 0.3 at least
+    assert float(result.table[1]["sd"]) > 0.3
+    assert result.fit[2]["sd"] == 0.05  # the targets as given are what is shown

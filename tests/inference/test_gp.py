@@ -5,10 +5,15 @@ import pytest
 
 from lacli.errors import InputError
 from lacli.inference import gp
+from lacli.inference.box import make_box
 from lacli.inference.emulator import fit_emulator, fit_emulators
 from lacli.inference.emulator_set import EmulatorSet, load_emulators, save_emulators
+from lacli.inference.likelihood import Density
+from lacli.inference.matching import Region
 from lacli.inference.paths import draw_functions
+from lacli.inference.scales import OutputScale
 from lacli.inference.table import RunTable
+from lacli.inference.targets import Targets
 from lacli.inference.validation import cross_validate, score
 
 
@@ -89,10 +94,54 @@ def test_a_power_law_is_put_on_logarithmic_scales():
     rng = np.random.default_rng(1)
     x = np.exp(rng.uniform(np.log(0.1), np.log(10.0), (60, 2)))
     emulator = fit_emulator(x, 3.0 * x[:, 0] ** 1.5 / x[:, 1])
-    assert emulator.log_output and emulator.log_inputs.all()
+    assert emulator.output_scale == OutputScale(log=True) and emulator.log_inputs.all()
     mean, variance = emulator.predict(np.array([[2.0, 0.5]]))
     assert mean[0] == pytest.approx(3.0 * 2.0**1.5 / 0.5, rel=1e-3)
     assert 0 < variance[0] < 1e-2
+
+
+def long_tailed(n, seed):
+    x = np.random.default_rng(seed).random((n, 3))
+    return x, np.exp(3.0 * (np.sin(2 * x[:, 0]) + x[:, 1] * x[:, 2])) - 3.0
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_long_tail_is_put_on_a_shifted_logarithm(sign):
+    x, y = long_tailed(60, 0)
+    emulator = fit_emulator(x, sign * y, starts=1)
+    scale = emulator.output_scale
+    assert scale.log and scale.sign == sign and (sign * scale.sign * y + scale.offset > 0).all()
+    new, truth = long_tailed(400, 1)
+    mean, variance = emulator.predict(new)
+    error = sign * truth - mean
+    assert 1 - (error**2).mean() / truth.var() > 0.98
+    assert (np.abs(error) < 2 * np.sqrt(variance)).mean() > 0.9
+    # batched, screened and drawn values are on the same scale
+    together = EmulatorSet(("a", "b", "c"), (emulator,))
+    m, v = together.predict(new[:50])
+    assert m[:, 0] == pytest.approx(mean[:50], rel=1e-8, abs=1e-8) and v[:, 0] == pytest.approx(variance[:50], rel=1e-6)
+    m0, m1, v0, v1 = together.screen(0, new)
+    slack = 1e-9 * y.std()
+    assert (m0 <= mean + slack).all() and (m1 >= mean - slack).all() and (v0 <= v1).all()
+    assert np.median(draw_functions(emulator, new[:50], 2000, 0).mean(1) - mean[:50]) == pytest.approx(0, abs=0.05 * y.std())
+
+
+def test_a_plain_output_stays_on_its_own_scale():
+    x, _ = long_tailed(60, 0)
+    y = np.sin(2 * x[:, 0]) + x[:, 1] * x[:, 2] - 1.0
+    assert fit_emulator(x, y, starts=1).output_scale == OutputScale()
+
+
+def test_moments_of_a_shifted_log_normal_against_quadrature():
+    for scale in (OutputScale(True, 2.0, 1.0), OutputScale(True, 2.0, -1.0)):
+        z, w = np.polynomial.hermite_e.hermegauss(60)
+        y = scale.backward(0.3 + 0.5 * z)
+        mean = (w * y).sum() / w.sum()
+        m, v = scale.moments(np.array([0.3]), np.array([0.25]))
+        assert m[0] == pytest.approx(mean) and v[0] == pytest.approx((w * (y - mean) ** 2).sum() / w.sum())
+        assert scale.forward(y) == pytest.approx(0.3 + 0.5 * z)
+        slope = (scale.forward(y + 1e-6) - scale.forward(y - 1e-6)) / 2e-6
+        assert scale.log_slope(y) == pytest.approx(np.log(np.abs(slope)), abs=1e-4)
 
 
 def test_known_noise_is_not_taken_for_signal():
@@ -162,6 +211,18 @@ def test_saved_emulators_predict_the_same_bits(emulators, tmp_path):
         load_emulators(path)
     with pytest.raises(InputError, match="no such"):
         load_emulators(tmp_path / "absent.npz")
+
+
+def test_log_likelihood_of_a_few_walkers_is_that_of_each_emulator(emulators):
+    # 18 points take the path of one product over all outputs; the formula written out with each emulator's own prediction
+    x = points(18)
+    targets = Targets(("p", "q", "r"), np.array([0.5, 1.0, 0.2]), np.array([0.1, 0.2, 0.1]))
+    expected = np.zeros(18)
+    for e, mu, sd in zip(emulators.emulators, targets.mean, targets.sd, strict=True):
+        m, v = e.predict(x)
+        expected += -0.5 * ((m - mu) ** 2 / (v + sd**2) + np.log(2 * np.pi * (v + sd**2)))
+    box = make_box(("a", "b", "c"), [0.2, -1, 5], [6.0, 1, 9])
+    assert Density(emulators, targets, Region(box))(x) == pytest.approx(expected, rel=1e-9)
 
 
 def test_function_draws_have_the_emulators_moments(emulators):

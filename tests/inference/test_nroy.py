@@ -5,6 +5,7 @@ import pytest
 from scipy import stats
 from scipy.special import gamma
 
+from lacli.inference import nroy
 from lacli.inference.box import make_box
 from lacli.inference.nroy import EmptyRegionError, sample_region
 
@@ -91,3 +92,53 @@ def test_an_empty_region_is_told_with_its_nearest_point():
 def test_the_same_seed_gives_the_same_bits():
     one, two = (sample_region(lambda x: np.linalg.norm(x, axis=1) / 0.5, BOX, 500, seed=5, walkers=300) for _ in range(2))
     assert np.array_equal(one.points, two.points) and one.volume == two.volume
+
+
+HALF = 0.2 * np.exp(np.linspace(-0.6, 0.6, D))  # the product of the half-widths, 0.2^9 = 5.1e-7, is the share of the box
+
+
+def sheared(x):
+    """Signed values of a box of half-widths HALF about 0.1, sheared: w_i = x_i + 0.2 sin(2 x_{i+1}) has determinant one, so
+    points uniform in the region are uniform in w; cubics follow the sine to a few per cent."""
+    w = x.copy()
+    w[:, :-1] += 0.2 * np.sin(2.0 * x[:, 1:])
+    return (w - 0.1) / HALF
+
+
+def sheared_pvalue(points):
+    """p-value of each w being uniform, the least of the nine times nine."""
+    return D * min(stats.kstest((z + 1) / 2, "uniform").pvalue for z in sheared(points).T)
+
+
+def sample_sheared():
+    return sample_region(lambda x: np.abs(sheared(x)).max(1), BOX, 10_000, seed=3, values=sheared)
+
+
+def test_guided_steps_leave_the_uniform_distribution(monkeypatch):
+    found = sample_sheared()
+    assert found.level == pytest.approx(np.abs(sheared(found.points)).max(1)) and (found.level < 1).all()
+    assert abs(found.volume - HALF.prod()) < 3 * found.volume_sd and found.volume_sd < 0.2 * found.volume
+    assert sheared_pvalue(found.points[::5]) > 0.01
+    assert found.acceptance > 0.5  # the guide was there
+    unguided = sample_region(lambda x: np.abs(sheared(x)).max(1), BOX, 10_000, seed=3)
+    assert found.evaluations < 0.2 * unguided.evaluations
+
+
+@pytest.mark.parametrize("corrected", [True, False])
+def test_a_leaning_guide_is_corrected_for(monkeypatch, corrected):
+    # a guide that favours one side by a factor of 3 to 1; without its part of the acceptance the sample would lean too
+    class Leaning(nroy._Guide):
+        def log_density(self, x, t):
+            return super().log_density(x, t) + 0.55 * np.clip(sheared(x)[:, 4], -1, 1)
+
+    def fit(x, values, box):
+        guide = fitted(x, values, box)
+        return guide and Leaning(guide.polynomial, guide.error)
+
+    fitted = nroy._fit_guide
+    monkeypatch.setattr(nroy, "_fit_guide", fit)
+    if not corrected:
+        detour = nroy._Population._detour
+        monkeypatch.setattr(nroy._Population, "_detour", lambda *a: (detour(*a)[0], np.ones(len(a[1]), bool)))
+    p = sheared_pvalue(sample_sheared().points[::5])
+    assert p > 0.01 if corrected else p < 1e-6

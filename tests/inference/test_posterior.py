@@ -13,6 +13,7 @@ from lacli.inference.arviz_file import write_inference_data
 from lacli.inference.box import make_box
 from lacli.inference.likelihood import Density, gaussian_log_likelihood
 from lacli.inference.matching import Region, Wave
+from lacli.inference.mixture import fit_mixture
 from lacli.inference.targets import Targets
 
 # an ESS of 10,000 makes the sd's own Monte Carlo error 1 / sqrt(20,000) = 0.7 %
@@ -190,3 +191,38 @@ def test_arviz_reads_the_file(tmp_path):
         assert data.posterior["x0"].shape == (4 * 8, 90)
         assert float(data.posterior["x1"].mean()) == pytest.approx(chain.flat()[:, 1].mean())
         data.close()
+
+
+def test_separate_parts_exchange_walkers():
+    # two modes 40 sd apart with masses 0.95 and 0.05: differences of walkers seldom reach from one to the other
+    t = targets([0.0, 0.0], [1.0, 1.0])
+    small = 0.05 / 0.95
+
+    def mean(x):
+        # -1/2 m1^2 = log of the mixture (up to a constant); the second output is a plain normal
+        log = np.logaddexp(-0.5 * ((x[:, 0] + 2.0) / 0.1) ** 2, np.log(small) - 0.5 * ((x[:, 0] - 2.0) / 0.1) ** 2)
+        return np.c_[np.sqrt(np.maximum(-2.0 * (log - np.log1p(small)), 0.0)), x[:, 1]]
+
+    chain = mcmc.sample_posterior(Density(ExactEmulators(2, 2, mean), t, Region(box(2, 6.0))), replace(SETTINGS, ess=2000.0))
+    assert chain.converged
+    share = (chain.flat()[:, 0] > 0).mean()
+    # binomial with the effective number of samples
+    assert share == pytest.approx(0.05, abs=4 * np.sqrt(0.05 * 0.95 / chain.ess[0]))
+    crossings = np.diff(np.sign(chain.samples[..., 0]), axis=0) != 0
+    assert crossings.any(0).mean() > 0.5  # most walkers have seen both
+
+
+def test_mixture_density_against_scipy():
+    rng = np.random.default_rng(0)
+    x = np.r_[rng.normal(0, 1, (200, 2)), rng.normal(8, 0.5, (100, 2))]
+    fitted = fit_mixture(x, np.array([1.0, 3.0]))
+    by_hand = sum(
+        w * stats.multivariate_normal(m, f @ f.T).pdf(x)
+        for w, m, f in zip(fitted.weights, fitted.means, fitted.factors, strict=True)
+    )
+    assert fitted.log_density(x) == pytest.approx(np.log(by_hand))
+    drawn = fitted.sample(np.random.RandomState(1), 20_000)
+    assert (drawn[:, 0] > 5).mean() == pytest.approx(1 / 3, abs=0.02)
+    # one component: twice the variance of its points
+    one = fit_mixture(x[:100], np.ones(2))
+    assert one.factors[0] @ one.factors[0].T == pytest.approx(2 * np.cov(x[:100].T, bias=True), abs=1e-6)
