@@ -17,13 +17,13 @@ def simulator(
 ) -> Simulator:
     """A simulator that runs the scene at each row of inputs, side by side; stored runs are found again by content.
 
-    Fields are not written (a calibration makes hundreds of runs and reads their features).
+    Neither fields nor the unloaded state are computed (a calibration makes hundreds of runs and reads their features).
     """
     from lacli.execute import run_scenes
     from lacli.inference.runs import Outcome
     from lacli.scene import load_scene, with_parameters
 
-    scene = load_scene(scene_file, [*(overrides or []), "outputs.fields=none"])
+    scene = load_scene(scene_file, [*(overrides or []), "outputs.fields=none", "outputs.unloaded=false"])
 
     def run(inputs: pd.DataFrame) -> Iterator[tuple[int, Outcome]]:
         scenes = [with_parameters(scene, {str(k): float(v) for k, v in row.items()}) for row in inputs.to_dict("records")]
