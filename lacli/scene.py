@@ -182,6 +182,12 @@ class Scene(_Frozen):
 
     @model_validator(mode="after")
     def _pressures(self) -> Scene:
+        given = self.loads.transient_mmhg
+        if given is not None and given[0][1] != self.loads.edp_mmhg:
+            raise ValueError(
+                f"loads.transient_mmhg begins with {given[0][1]:g} mmHg, loads.edp_mmhg is {self.loads.edp_mmhg:g}; "
+                "the cycle starts at end-diastole, with the pressure under which the image was taken"
+            )
         if self.loads.transient_mmhg is None and self.loads.esp_mmhg < self.loads.edp_mmhg:
             raise ValueError(
                 f"loads.esp_mmhg ({self.loads.esp_mmhg:g}) is below loads.edp_mmhg ({self.loads.edp_mmhg:g}); "

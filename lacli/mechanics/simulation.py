@@ -114,7 +114,7 @@ def _simulate(
         "versions": {"freefem": freefem.find().version},
     }
     if outcome.kind is not None:
-        _keep_last_state(work, folder)
+        _keep_last_state(work, plan, folder)
         _tidy(folder)
         run.finish("failed", kind=outcome.kind, message=outcome.message, **usage)
         return
@@ -185,7 +185,7 @@ def _features(
     unknowns, newton, steps, backs = (int(v) for v in history["counts"])
     features |= {
         "es_unstable_modes": int(history["es_modes"][0]),
-        "min_jacobian": min(state.min_jacobian for state in states.values()),
+        "min_jacobian": min(state.min_jacobian for name, state in states.items() if name != "unloaded"),
         "unknowns": unknowns,
         "newton_iterations": newton,
         "load_steps": steps,
@@ -265,14 +265,14 @@ def write_state(bundle: Bundle, x: FloatArray, unloaded: FloatArray | None, file
     meshio.Mesh(x, [(kind, bundle.tets)], point_data=point_data, cell_data=cell_data).write(file, binary=True, compression="zlib")
 
 
-def _keep_last_state(bundle: Bundle, folder: Path) -> None:
+def _keep_last_state(bundle: Bundle, plan: Plan, folder: Path) -> None:
     """The state a failed run had reached, as VTU, where the deck wrote one."""
     file = folder / "last.txt"
     with contextlib.suppress(OSError, ValueError):
         table = np.loadtxt(file).reshape(-1, 6)
         if len(table) == len(bundle.points) and np.isfinite(table).all():
             (folder / "fields").mkdir(exist_ok=True)
-            write_state(bundle, table[:, :3], table[:, 3:], folder / "fields" / "last.vtu")
+            write_state(bundle, table[:, :3], None if plan.prestrain else table[:, 3:], folder / "fields" / "last.vtu")
 
 
 def _tidy(folder: Path) -> None:

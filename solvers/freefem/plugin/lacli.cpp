@@ -188,7 +188,7 @@ void scatter(System &s, int block, int na, int nb, const double *K, int la, int 
 }
 
 // laAssemble(task, y, X, R): task 0 residual, 1 and symmetric tangent, 2 and unsymmetric tangent, 3 and inverse tangent;
-// 4 residual of the prestrain problem, where y = (v | p) and X is the image, 5 and its symmetrised tangent.
+// 4 residual of the prestrain problem, where y = (v | p) and X is the image, 5 and its tangent, which is not symmetric.
 // y = (x | y | z | p) deformed positions and pressures, X = (X | Y | Z). 0, or 1 where a cell is inverted or too far strained.
 long laAssemble(long const &mode, KN<double> *const &y, KN<double> *const &reference, KN<double> *const &residual) {
   Problem &P = *the;
