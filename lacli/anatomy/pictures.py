@@ -21,6 +21,8 @@ FloatArray = NDArray[np.float64]
 # colour-blind safe (Okabe and Ito 2008); rings grey, planes pale
 COLOURS = {"anterior": "#0072B2", "posterior": "#E69F00", "septum": "#009E73", "lateral": "#CC79A7", "roof": "#F0E442"}
 RING, PLANE = "#7f7f7f", "#e8e4dc"
+# mostly ambient: shadows must not turn one colour of a legend into another
+LIGHT = {"ambient": 0.5, "diffuse": 0.5, "specular": 0.0}
 
 
 def polydata(surface: Surface) -> Any:
@@ -90,7 +92,10 @@ def _panels(file: Path, bundle: Bundle, panels: Sequence[Panel], columns: int, z
         plotter.subplot(k // columns, k % columns)
         plotter.set_background("white")
         draw(plotter)
-        plotter.add_text(text, font_size=11, color="black", position="upper_left")
+        # at a point, not in a corner: there VTK scales each text on its own
+        plotter.add_text(text, font_size=11, color="black", position=(0.02, 0.94), viewport=True)
+        for bar in dict(plotter.scalar_bars).values():
+            bar.SetTextPositionToPrecedeScalarBar()
         plotter.enable_parallel_projection()
         plotter.camera.focal_point = middle
         plotter.camera.position = middle + 5 * reach * direction
@@ -106,7 +111,15 @@ def _titled(bundle: Bundle, chosen: Sequence[int], title: str, draw: Callable[[A
 
 
 def _bar(title: str) -> dict[str, Any]:
-    return {"title": title, "color": "black", "title_font_size": 16, "label_font_size": 14, "vertical": False}
+    # the blank line keeps the title clear of the numbers
+    return {
+        "title": f"\n{title}",
+        "color": "black",
+        "title_font_size": 16,
+        "label_font_size": 14,
+        "vertical": False,
+        "height": 0.1,
+    }
 
 
 def _shoot(plotter: Any, file: Path) -> None:
@@ -126,10 +139,10 @@ def regions(bundle: Bundle, file: Path) -> None:
         groups += [(RING, (label >= 11) & (label <= 16)), (PLANE, label >= 21)]
         for colour, mine in groups:
             if mine.any():
-                plotter.add_mesh(surface.extract_cells(mine), color=colour, smooth_shading=False)
+                plotter.add_mesh(surface.extract_cells(mine), color=colour, smooth_shading=False, **LIGHT)
 
     _panels(file, bundle, _titled(bundle, range(6), "Regions", draw), 3)
-    _legend(file, {**COLOURS, "rings": RING, "valve planes": PLANE})
+    _legend(file, {**COLOURS, "rings": RING, "planes of the openings": PLANE})
 
 
 def _legend(file: Path, colours: dict[str, str]) -> None:
@@ -181,7 +194,7 @@ def fibres(bundle: Bundle, file: Path) -> None:
             "cmap": "viridis",
             "clim": (0, 1),
             "line_width": 2.0,
-            "scalar_bar_args": _bar("|fibre . valve-to-roof axis| (-)"),
+            "scalar_bar_args": _bar("fibre along the valve-to-roof axis, cosine (-)"),
         }
 
         def draw(plotter: Any) -> None:
@@ -216,6 +229,7 @@ def thickness(bundle: Bundle, ids: NDArray[np.int64], values: FloatArray, file: 
             clim=(float(low), float(high)),
             smooth_shading=True,
             scalar_bar_args=_bar("wall thickness (mm)"),
+            **LIGHT,
         )
 
     _panels(file, bundle, _titled(bundle, range(4), "Thickness (eikonal)", draw), 2)
@@ -234,9 +248,12 @@ def cuts(bundle: Bundle, file: Path) -> None:
     origin = bundle.points[np.unique(bundle.cavity_triangles())].mean(axis=0)
 
     def drawing(direction: FloatArray, bar: bool) -> Callable[[Any], None]:
-        half = grid.clip(normal=direction, origin=origin, crinkle=False).extract_surface(algorithm="dataset_surface")
+        # a little behind the section, which it would hide in patches
+        half = grid.clip(normal=direction, origin=origin - 0.3 * direction, crinkle=False).extract_surface(
+            algorithm="dataset_surface"
+        )
         section = grid.slice(normal=direction, origin=origin)
-        style = {"cmap": "coolwarm", "clim": (0, 1), "line_width": 1, "show_edges": True}
+        style = {"cmap": "coolwarm", "clim": (0, 1), "line_width": 1, "show_edges": True, "lighting": False}
 
         def draw(plotter: Any) -> None:
             plotter.add_mesh(half, color="#f2e9e4", opacity=1.0)
@@ -281,7 +298,7 @@ def square(bundle: Bundle, file: Path) -> None:
                 x, y, text, ha="center", va="center", fontsize=8, bbox={"boxstyle": "round,pad=0.2", "fc": "white", "ec": "none"}
             )
     axis.set(xlim=(-0.01, 1.01), ylim=(-0.01, 1.01), aspect="equal")
-    axis.set_xlabel("alpha (-): 0 septal, 1 lateral")
+    axis.set_xlabel("alpha (-): 0 septal, 1 lateral; triangles across these two lines are left out")
     axis.set_ylabel("beta (-): 0 posterior mitral rim, 1 anterior mitral rim")
     legend = [Patch(color=c, label=n) for n, c in COLOURS.items()] + [Patch(color=RING, label="rings")]
     axis.legend(
