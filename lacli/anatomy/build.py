@@ -108,7 +108,12 @@ def from_surface(
 ) -> Built:
     """Bundle from a repaired surface; ``axes`` None: left and right are told from the shape."""
     openings = openings_of_rims(repaired)
-    return _from_closed(repaired.surface, openings, axes, options, given, say, list(repaired.notes), None)
+    notes = list(repaired.notes)
+    if repaired.rims and not openings:
+        notes.append(
+            f"the longest rim is {repaired.rims[0].length_mm:.0f} mm, no valve's ({LEAST_VALVE_MM:.0f} mm): all closed as holes"
+        )
+    return _from_closed(repaired.surface, openings, axes, options, given, say, notes, None)
 
 
 def openings_of_rims(repaired: Repaired) -> list[Opening]:

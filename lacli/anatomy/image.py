@@ -73,6 +73,7 @@ def read(path: Path) -> Image:
     if path.stat().st_size == 0:
         raise InputError(f"{path}: the file is empty; export it again.")
     _check_nifti(path)
+    _check_nrrd(path)
     sitk.ProcessObject_SetGlobalWarningDisplay(False)
     try:
         image = sitk.ReadImage(str(path))
@@ -99,6 +100,18 @@ def read(path: Path) -> Image:
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         raise InputError(f"{path}: {int((~np.isfinite(array)).sum())} voxels are not finite (NaN or infinite); replace them.")
     return Image(array, spacing, origin, direction)
+
+
+def _check_nrrd(path: Path) -> None:
+    """The reader speaks of inconsistent coefficients where a NRRD's axes are not finite: said plainly first."""
+    if not path.name.lower().endswith((".nrrd", ".nhdr")):
+        return
+    with path.open("rb") as stream:
+        head = stream.read(65536).replace(b"\r\n", b"\n").split(b"\n\n", 1)[0].decode("latin-1").lower()
+    for line in head.splitlines():
+        key, _, value = line.partition(":")
+        if key in ("space directions", "space origin", "spacings") and any(word in value for word in ("nan", "inf")):
+            raise InputError(f"{path}: '{key}' in the NRRD header has a value that is not finite (NaN); correct the header.")
 
 
 def _check_nifti(path: Path) -> None:

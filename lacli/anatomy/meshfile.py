@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from lacli.anatomy import carp
 from lacli.anatomy.bundle import Bundle
-from lacli.errors import AnatomyError, InputError
+from lacli.errors import AnatomyError, InputError, UsageError
 
 FloatArray = NDArray[np.float64]
 
@@ -43,6 +43,12 @@ def write(bundle: Bundle, path: Path) -> None:
         temporary.unlink(missing_ok=True)
         raise AnatomyError(f"{path}: meshio cannot write this format ({type(error).__name__}: {error}).") from None
     temporary.replace(path)
+
+
+def check_ending(path: Path) -> None:
+    """Raises UsageError where ``write`` knows no format by this name's ending."""
+    if path.suffix not in (".pts", ".elem", ".lon", *meshio.extension_to_filetypes):
+        raise UsageError(f"{path}: no mesh format has the ending '{path.suffix}'; use .pts (CARP), .vtk, .vtu or .msh.")
 
 
 def _corners(bundle: Bundle) -> NDArray[np.int64]:

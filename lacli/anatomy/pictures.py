@@ -21,6 +21,8 @@ FloatArray = NDArray[np.float64]
 # colour-blind safe (Okabe and Ito 2008); rings grey, planes pale
 COLOURS = {"anterior": "#0072B2", "posterior": "#E69F00", "septum": "#009E73", "lateral": "#CC79A7", "roof": "#F0E442"}
 RING, PLANE = "#7f7f7f", "#e8e4dc"
+# mostly ambient: shadows must not turn one colour of a legend into another
+LIGHT = {"ambient": 0.5, "diffuse": 0.5, "specular": 0.0}
 
 
 def polydata(surface: Surface) -> Any:
@@ -70,26 +72,54 @@ def views(bundle: Bundle) -> list[tuple[str, FloatArray, FloatArray]]:
     ]
 
 
-def _panels(file: Path, bundle: Bundle, chosen: Sequence[int], draw: Callable[[Any], None], title: str) -> None:
+Panel = tuple[int, str, Callable[[Any], None]]
+
+
+def _panels(file: Path, bundle: Bundle, panels: Sequence[Panel], columns: int, zoom: float = 0.82) -> None:
+    """One picture of several looks at the bundle; a panel is a number in ``views``, its text, and what draws into it.
+
+    ``zoom``: half of a panel's height over half of the bundle's diagonal.
+    """
     import pyvista as pv
 
-    looks = [views(bundle)[i] for i in chosen]
-    rows = 1 if len(looks) <= 3 else 2
-    columns = (len(looks) + rows - 1) // rows
+    looks = views(bundle)
+    rows = -(-len(panels) // columns)
     plotter = pv.Plotter(off_screen=True, shape=(rows, columns), window_size=(620 * columns, 600 * rows), border=False)
     middle = (bundle.points.max(axis=0) + bundle.points.min(axis=0)) / 2
     reach = float(np.linalg.norm(np.ptp(bundle.points, axis=0)) / 2)
-    for k, (name, direction, up) in enumerate(looks):
+    for k, (look, text, draw) in enumerate(panels):
+        _, direction, up = looks[look]
         plotter.subplot(k // columns, k % columns)
         plotter.set_background("white")
         draw(plotter)
-        plotter.add_text(f"{title}, {name}" if k == 0 else name, font_size=11, color="black", position="upper_left")
+        # at a point, not in a corner: there VTK scales each text on its own
+        plotter.add_text(text, font_size=11, color="black", position=(0.02, 0.94), viewport=True)
+        for bar in dict(plotter.scalar_bars).values():
+            bar.SetTextPositionToPrecedeScalarBar()
         plotter.enable_parallel_projection()
         plotter.camera.focal_point = middle
         plotter.camera.position = middle + 5 * reach * direction
         plotter.camera.up = up
-        plotter.camera.parallel_scale = 0.82 * reach
+        plotter.camera.parallel_scale = zoom * reach
     _shoot(plotter, file)
+
+
+def _titled(bundle: Bundle, chosen: Sequence[int], title: str, draw: Callable[[Any], None]) -> list[Panel]:
+    """The same drawing seen from several sides, the title over the first."""
+    names = [name for name, _, _ in views(bundle)]
+    return [(i, f"{title}, {names[i]}" if k == 0 else names[i], draw) for k, i in enumerate(chosen)]
+
+
+def _bar(title: str) -> dict[str, Any]:
+    # the blank line keeps the title clear of the numbers
+    return {
+        "title": f"\n{title}",
+        "color": "black",
+        "title_font_size": 16,
+        "label_font_size": 14,
+        "vertical": False,
+        "height": 0.1,
+    }
 
 
 def _shoot(plotter: Any, file: Path) -> None:
@@ -109,10 +139,10 @@ def regions(bundle: Bundle, file: Path) -> None:
         groups += [(RING, (label >= 11) & (label <= 16)), (PLANE, label >= 21)]
         for colour, mine in groups:
             if mine.any():
-                plotter.add_mesh(surface.extract_cells(mine), color=colour, smooth_shading=False)
+                plotter.add_mesh(surface.extract_cells(mine), color=colour, smooth_shading=False, **LIGHT)
 
-    _panels(file, bundle, range(6), draw, "Regions")
-    _legend(file, {**COLOURS, "rings": RING, "valve planes": PLANE})
+    _panels(file, bundle, _titled(bundle, range(6), "Regions", draw), 3)
+    _legend(file, {**COLOURS, "rings": RING, "planes of the openings": PLANE})
 
 
 def _legend(file: Path, colours: dict[str, str]) -> None:
@@ -141,53 +171,43 @@ def fibres(bundle: Bundle, file: Path) -> None:
 
     if bundle.fibre is None or bundle.transmural is None:
         return
+    fibre = bundle.fibre
     corner = bundle.tets[:, :4]
     centre = bundle.points[corner].mean(axis=1)
     depth = bundle.transmural[corner].mean(axis=1)
     wall = bundle.region < 20
     halves = {"outer half of the wall": (wall & (depth >= 0.5), EPI), "inner half of the wall": (wall & (depth < 0.5), ENDO)}
-    looks = views(bundle)
-    plotter = pv.Plotter(off_screen=True, shape=(2, 3), window_size=(1860, 1200), border=False)
     middle = (bundle.points.max(axis=0) + bundle.points.min(axis=0)) / 2
-    reach = float(np.linalg.norm(np.ptp(bundle.points, axis=0)) / 2)
     size = float(np.median(np.linalg.norm(bundle.points[corner[:, 0]] - bundle.points[corner[:, 1]], axis=1)))
-    for row, (name, (mine, side)) in enumerate(halves.items()):
+
+    def drawing(mine: NDArray[np.bool_], side: int, up: FloatArray, bar: bool) -> Callable[[Any], None]:
         rings = (bundle.tags >= 11) & (bundle.tags <= 16) if side == EPI else bundle.tags >= 21
         skin = _boundary(bundle, (bundle.tags == side) | rings)
-        for column, look in enumerate((0, 1, 2)):
-            plotter.subplot(row, column)
-            plotter.set_background("white")
-            title, direction, up = looks[look]
+        f = fibre[mine]
+        # strokes lie just over the skin, on the side of the camera only
+        lift = (centre[mine] - middle) / np.linalg.norm(centre[mine] - middle, axis=1)[:, None] * 0.8
+        ends = np.vstack([centre[mine] - 0.45 * size * f + lift, centre[mine] + 0.45 * size * f + lift])
+        lines = np.column_stack([np.full(len(f), 2), np.arange(len(f)), len(f) + np.arange(len(f))])
+        strokes = pv.PolyData(ends, lines=lines.ravel())
+        strokes.cell_data["direction"] = np.abs(f @ up)
+        style = {
+            "cmap": "viridis",
+            "clim": (0, 1),
+            "line_width": 2.0,
+            "scalar_bar_args": _bar("fibre along the valve-to-roof axis, cosine (-)"),
+        }
+
+        def draw(plotter: Any) -> None:
             plotter.add_mesh(skin, color="#f2e9e4", smooth_shading=True)
-            f = bundle.fibre[mine]
-            # strokes lie just over the skin, on the side of the camera only
-            lift = (centre[mine] - middle) / np.linalg.norm(centre[mine] - middle, axis=1)[:, None] * 0.8
-            start = centre[mine] - 0.45 * size * f + lift
-            end = centre[mine] + 0.45 * size * f + lift
-            lines = np.column_stack([np.full(len(f), 2), np.arange(len(f)), len(f) + np.arange(len(f))])
-            strokes = pv.PolyData(np.vstack([start, end]), lines=lines.ravel())
-            strokes.cell_data["direction"] = np.abs(f @ up)
-            plotter.add_mesh(
-                strokes,
-                scalars="direction",
-                cmap="viridis",
-                clim=(0, 1),
-                line_width=2.0,
-                show_scalar_bar=row == 1 and column == 2,
-                scalar_bar_args={
-                    "title": "|fibre . valve-to-roof axis| (-)",
-                    "color": "black",
-                    "title_font_size": 15,
-                    "label_font_size": 13,
-                },
-            )
-            plotter.add_text(f"{name}, {title}", font_size=11, color="black", position="upper_left")
-            plotter.enable_parallel_projection()
-            plotter.camera.focal_point = middle
-            plotter.camera.position = middle + 5 * reach * direction
-            plotter.camera.up = up
-            plotter.camera.parallel_scale = 0.82 * reach
-    _shoot(plotter, file)
+            plotter.add_mesh(strokes, scalars="direction", show_scalar_bar=bar, **style)
+
+        return draw
+
+    panels = []
+    for half, (mine, side) in halves.items():
+        for look, (name, _, up) in enumerate(views(bundle)[:3]):
+            panels.append((look, f"{half}, {name}", drawing(mine, side, up, bar=side == ENDO and look == 2)))
+    _panels(file, bundle, panels, 3)
 
 
 def thickness(bundle: Bundle, ids: NDArray[np.int64], values: FloatArray, file: Path) -> None:
@@ -208,16 +228,11 @@ def thickness(bundle: Bundle, ids: NDArray[np.int64], values: FloatArray, file: 
             cmap="viridis",
             clim=(float(low), float(high)),
             smooth_shading=True,
-            scalar_bar_args={
-                "title": "wall thickness (mm)",
-                "color": "black",
-                "title_font_size": 16,
-                "label_font_size": 14,
-                "vertical": False,
-            },
+            scalar_bar_args=_bar("wall thickness (mm)"),
+            **LIGHT,
         )
 
-    _panels(file, bundle, (0, 1, 2, 3), draw, "Thickness (eikonal)")
+    _panels(file, bundle, _titled(bundle, range(4), "Thickness (eikonal)", draw), 2)
 
 
 def cuts(bundle: Bundle, file: Path) -> None:
@@ -230,39 +245,26 @@ def cuts(bundle: Bundle, file: Path) -> None:
     depth = bundle.transmural if bundle.transmural is not None else np.zeros(len(bundle.points))
     grid.point_data["transmural"] = depth
     grid.cell_data["region"] = bundle.region
-    looks = views(bundle)
-    middle = bundle.points[np.unique(bundle.cavity_triangles())].mean(axis=0)
-    reach = float(np.linalg.norm(np.ptp(bundle.points, axis=0)) / 2)
-    plotter = pv.Plotter(off_screen=True, shape=(1, 3), window_size=(1860, 640), border=False)
-    for k, look in enumerate((0, 2, 4)):
-        plotter.subplot(0, k)
-        plotter.set_background("white")
-        title, direction, up = looks[look]
-        half = grid.clip(normal=direction, origin=middle, crinkle=False)
-        section = grid.slice(normal=direction, origin=middle)
-        plotter.add_mesh(half.extract_surface(algorithm="dataset_surface"), color="#f2e9e4", opacity=1.0)
-        plotter.add_mesh(
-            section,
-            scalars="transmural",
-            cmap="coolwarm",
-            clim=(0, 1),
-            line_width=1,
-            show_edges=True,
-            show_scalar_bar=k == 2,
-            scalar_bar_args={
-                "title": "transmural (0 endo, 1 epi)",
-                "color": "black",
-                "title_font_size": 15,
-                "label_font_size": 13,
-            },
+    origin = bundle.points[np.unique(bundle.cavity_triangles())].mean(axis=0)
+
+    def drawing(direction: FloatArray, bar: bool) -> Callable[[Any], None]:
+        # a little behind the section, which it would hide in patches
+        half = grid.clip(normal=direction, origin=origin - 0.3 * direction, crinkle=False).extract_surface(
+            algorithm="dataset_surface"
         )
-        plotter.add_text(f"cut, seen {title}", font_size=11, color="black", position="upper_left")
-        plotter.enable_parallel_projection()
-        plotter.camera.focal_point = middle
-        plotter.camera.position = middle + 5 * reach * direction
-        plotter.camera.up = up
-        plotter.camera.parallel_scale = 0.75 * reach
-    _shoot(plotter, file)
+        section = grid.slice(normal=direction, origin=origin)
+        style = {"cmap": "coolwarm", "clim": (0, 1), "line_width": 1, "show_edges": True, "lighting": False}
+
+        def draw(plotter: Any) -> None:
+            plotter.add_mesh(half, color="#f2e9e4", opacity=1.0)
+            args = _bar("depth in the wall (-): 0 inside, 1 outside")
+            plotter.add_mesh(section, scalars="transmural", show_scalar_bar=bar, scalar_bar_args=args, **style)
+
+        return draw
+
+    looks = views(bundle)
+    panels = [(i, f"cut, seen {looks[i][0]}", drawing(looks[i][1], bar=i == 4)) for i in (0, 2, 4)]
+    _panels(file, bundle, panels, 3, zoom=0.75)
 
 
 def square(bundle: Bundle, file: Path) -> None:
@@ -296,7 +298,7 @@ def square(bundle: Bundle, file: Path) -> None:
                 x, y, text, ha="center", va="center", fontsize=8, bbox={"boxstyle": "round,pad=0.2", "fc": "white", "ec": "none"}
             )
     axis.set(xlim=(-0.01, 1.01), ylim=(-0.01, 1.01), aspect="equal")
-    axis.set_xlabel("alpha (-): 0 septal, 1 lateral")
+    axis.set_xlabel("alpha (-): 0 septal, 1 lateral; triangles across these two lines are left out")
     axis.set_ylabel("beta (-): 0 posterior mitral rim, 1 anterior mitral rim")
     legend = [Patch(color=c, label=n) for n, c in COLOURS.items()] + [Patch(color=RING, label="rings")]
     axis.legend(

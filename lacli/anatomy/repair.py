@@ -55,6 +55,8 @@ def read(path: Path) -> tuple[FloatArray, IntArray]:
     if path.stat().st_size == 0:
         raise InputError(f"{path}: the file is empty; export it again.")
     vtk.vtkObject.GlobalWarningDisplayOff()
+    verbosity = vtk.vtkLogger.GetCurrentVerbosityCutoff()
+    vtk.vtkLogger.SetStderrVerbosity(vtk.vtkLogger.VERBOSITY_OFF)  # some readers warn past the switch above
     try:
         data = pv.read(path)
         if not isinstance(data, pv.PolyData):
@@ -63,7 +65,12 @@ def read(path: Path) -> tuple[FloatArray, IntArray]:
         points = np.asarray(data.points, dtype=np.float64)
         faces = data.regular_faces if data.n_cells else np.zeros((0, 3))
     except Exception as error:  # readers raise all sorts of things on damaged files
-        raise InputError(f"{path}: the surface cannot be read ({type(error).__name__}: {str(error)[:200]}).") from None
+        raise InputError(
+            f"{path}: the surface cannot be read, the file may be truncated or of another format "
+            f"({type(error).__name__}: {str(error)[:200]})."
+        ) from None
+    finally:
+        vtk.vtkLogger.SetStderrVerbosity(vtk.vtkLogger.ConvertToVerbosity(verbosity))
     triangles = np.asarray(faces, dtype=np.int64).reshape(-1, 3)
     if len(triangles) == 0 or len(points) == 0:
         raise InputError(f"{path}: the file holds no triangles; it may be truncated, or hold points or lines only.")

@@ -36,6 +36,7 @@ def command(
     """
     from lacli.anatomy import fat, image
     from lacli.anatomy.bundle import load
+    from lacli.cli.mesh import check_folder, naming, storing
 
     if bundle is None and labels is None:
         raise UsageError(
@@ -43,6 +44,7 @@ def command(
         )
     if not 0.5 <= reach_mm <= 20.0:
         raise UsageError(f"--within is {reach_mm:g} mm; it must be 0.5 to 20 mm.")
+    check_folder(folder)
     with progress() as bar:
         task = bar.add_task("reading", total=2 + len(fat.WINDOWS))
         volume = image.read(ct)
@@ -52,9 +54,11 @@ def command(
         found = {}
         for window in fat.WINDOWS:
             bar.update(task, advance=1, description=f"fat, {window} window")
-            found[window] = fat.segment(volume, pool, anatomy, window, reach_mm)
+            with naming(ct):
+                found[window] = fat.segment(volume, pool, anatomy, window, reach_mm)
         bar.update(task, advance=1, description="mesh")
-        report = _save(found, folder, ct, reach_mm)
+        with storing(folder):
+            report = _save(found, folder, ct, reach_mm)
     if as_json:
         print_json({**report, "folder": str(folder)})
         return
@@ -79,11 +83,12 @@ def _pool(labels: Path | None, la: int | None, anatomy: Any) -> Any:
     from lacli.anatomy.surface import Surface, compact
 
     if labels is not None:
-        from lacli.cli.mesh import la_label
+        from lacli.cli.mesh import la_label, naming
 
         map_ = image.read(labels)
-        label = la_label(labels, image.label_volumes(map_), la)
-        return extraction.surface_of(extraction.blood_pool(map_, label).mask)
+        with naming(labels):
+            label = la_label(labels, image.label_volumes(map_), la)
+            return extraction.surface_of(extraction.blood_pool(map_, label).mask)
     from lacli.anatomy.thickness import straight
 
     triangles = straight(anatomy.triangles[(anatomy.tags == 1) | (anatomy.tags >= 21)])[:, ::-1].copy()

@@ -6,7 +6,10 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,7 +17,7 @@ from typing import Annotated, Any
 import typer
 
 from lacli.cli.console import err, out, print_json, print_table, progress
-from lacli.errors import AnatomyError, UsageError
+from lacli.errors import AnatomyError, StorageError, UsageError
 
 STEPS = 6
 
@@ -72,12 +75,16 @@ def command(
 
     Example: lacli mesh heart.nii.gz --la 2 --lv 3 --cell-size 4 --out anatomy
     """
+    from lacli.anatomy import meshfile
     from lacli.anatomy.build import Options
 
     _check(cell_size_mm, thickness_mm, ring_width_mm, order, layers, frame)
     rules = ("laplace-dirichlet", "uac")
     own = None if fibres in rules else Path(fibres)
     options = Options(cell_size_mm, thickness_mm, order, ring_width_mm, rules[0] if own else fibres, smoothing_mm, layers)
+    check_folder(folder)
+    _check_new(folder, also or [])
+    own_fibres = None if own is None else meshfile.read_fibres(own)
     start = time.process_time()
     with progress() as bar:
         task = bar.add_task("reading", total=STEPS)
@@ -85,13 +92,13 @@ def command(
         def say(words: str) -> None:
             bar.update(task, advance=1, description=words)
 
-        built = _build(source, la, lv, wall, options, landmarks_file, frame, say)
+        with naming(source):
+            built = _build(source, la, lv, wall, options, landmarks_file, frame, say)
         bundle = built.bundle
-        if own is not None:
-            from lacli.anatomy import meshfile
-
-            bundle = replace(bundle, fibre=meshfile.carry_fibres(bundle, *meshfile.read_fibres(own)))
-    report = _save(source, folder, replace(built, bundle=bundle), options, also or [], start, str(own or fibres))
+        if own_fibres is not None:
+            bundle = replace(bundle, fibre=meshfile.carry_fibres(bundle, *own_fibres))
+    with storing(folder):
+        report = _save(source, folder, replace(built, bundle=bundle), options, also or [], start, str(own or fibres))
     drawn = _draw(folder) if pictures else []
     if as_json:
         print_json({**report, "folder": str(folder), "pictures": drawn})
@@ -113,6 +120,53 @@ def _check(cell: float, thickness: float, ring: float, order: int, layers: int |
         raise UsageError(f"--layers is {layers}; it must be 1 to 20.")
     if frame not in ("lps", "ras", "unknown"):
         raise UsageError(f"--frame is '{frame}'; it must be lps, ras or unknown.")
+
+
+def check_folder(folder: Path) -> None:
+    """Before the work: whether the folder is one, or can be made. Raises StorageError."""
+    there = next(p for p in (folder, *folder.absolute().parents) if p.exists())
+    if not there.is_dir():
+        raise StorageError(f"{folder}: cannot be written, {there} is a file; choose another --out.")
+    try:  # permissions do not tell of file systems that are read-only, or none
+        with tempfile.TemporaryDirectory(prefix=".part-", dir=there):
+            pass
+    except OSError as error:
+        raise StorageError(
+            f"{folder}: cannot be written, nothing can be made in {there} ({error.strerror}); choose another --out."
+        ) from None
+
+
+@contextmanager
+def naming(source: Path) -> Iterator[None]:
+    """What is wrong with the anatomy, with the name of the file it is in."""
+    try:
+        yield
+    except AnatomyError as error:
+        if str(error).startswith(f"{source}:"):
+            raise
+        raise AnatomyError(f"{source}: {error}") from error
+
+
+@contextmanager
+def storing(folder: Path) -> Iterator[None]:
+    """What the system says while writing, as a StorageError."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise StorageError(f"{folder}: cannot be written ({reason}: {error.filename}); nothing was left there.") from error
+
+
+def _check_new(folder: Path, also: list[Path]) -> None:
+    """Before the work: nothing else stands in the bundle's place, and the other files can be written."""
+    from lacli.anatomy import meshfile
+
+    if folder.exists() and any(folder.iterdir()) and not (folder / "wall.vtu").is_file():
+        raise UsageError(f"{folder}: the folder exists and holds something else than a bundle; choose another --out.")
+    for path in also:
+        meshfile.check_ending(path)
+        if not path.absolute().parent.is_dir() or not os.access(path.absolute().parent, os.W_OK | os.X_OK):
+            raise StorageError(f"{path}: cannot be written, its folder does not exist or gives no permission; change --also.")
 
 
 def _build(
@@ -189,21 +243,20 @@ def _save(source: Path, folder: Path, built: Any, options: Any, also: list[Path]
         "notes": report["notes"],
         **built.bundle.info,
     }
-    part = folder.with_name(f".part-{os.getpid()}-{folder.name}")
-    shutil.rmtree(part, ignore_errors=True)
-    part.mkdir(parents=True)
     done = replace(built.bundle, info=info)
     contract.check(done, str(folder))
-    contract.save(done, part)
-    landmarks.write(built.landmarks, part / "landmarks.toml")
-    quality.write(report, part)
-    old = folder.with_name(f".old-{os.getpid()}-{folder.name}")
-    if folder.exists():
-        if any(folder.iterdir()) and not (folder / "wall.vtu").is_file():
-            shutil.rmtree(part)
-            raise UsageError(f"{folder}: the folder exists and holds something else than a bundle; choose another --out.")
-        folder.replace(old)
-    part.replace(folder)
+    part, old = (folder.with_name(f".{word}-{os.getpid()}-{folder.name}") for word in ("part", "old"))
+    shutil.rmtree(part, ignore_errors=True)
+    try:
+        part.mkdir(parents=True)
+        contract.save(done, part)
+        landmarks.write(built.landmarks, part / "landmarks.toml")
+        quality.write(report, part)
+        if folder.exists():
+            folder.replace(old)
+        part.replace(folder)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
     shutil.rmtree(old, ignore_errors=True)
     for path in also:
         meshfile.write(done, path)
