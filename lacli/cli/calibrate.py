@@ -45,6 +45,7 @@ def command(
     prior: Annotated[str, typer.Option(help="nroy: what history matching leaves; box: the whole box.")] = "nroy",
     workers: Annotated[int | None, typer.Option(min=1, help="Simulations side by side.")] = None,
     scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler.")] = None,
+    ess: Annotated[float, typer.Option(min=1, help="Effective samples of every input; fewer are sooner there.")] = 5000,
     overrides: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a key of the scene.")
     ] = None,
@@ -60,6 +61,7 @@ def command(
     """
     from lacli.inference.box import CALIBRATION_INPUTS, OUTPUTS, published_box, read_box
     from lacli.inference.calibration import Settings, calibrate
+    from lacli.inference.posterior import Settings as Sampling
     from lacli.inference.runs import RunLog
 
     if prior not in ("nroy", "box"):
@@ -70,7 +72,14 @@ def command(
         raise UsageError("give either --targets or --synthetic-truth.")
     box = read_box(box_file) if box_file else published_box(CALIBRATION_INPUTS)
     settings = Settings(
-        first_runs=first, wave_runs=following, max_waves=max_waves, max_runs=max_runs, hours=hours, prior=prior, seed=seed
+        first_runs=first,
+        wave_runs=following,
+        max_waves=max_waves,
+        max_runs=max_runs,
+        hours=hours,
+        prior=prior,
+        seed=seed,
+        mcmc=Sampling(ess=ess),
     )
     begin = time.monotonic()
     if from_table is not None:
