@@ -108,7 +108,7 @@ def _words(point: FloatArray) -> str:
 def _too_few(branches: list[Branch]) -> str:
     places = "; ".join(f"{b.diameter_mm:.0f} mm wide at {_words(b.centre)}" for b in branches) or "none"
     return (
-        f"only {len(branches)} vessels leave the blood pool ({places}); four veins are needed. "
+        f"only {len(branches)} vessel{'s' * (len(branches) != 1)} of the blood pool found ({places}); four veins are needed. "
         "Include at least 5 mm of each vein in the segmentation, or give the ostia in landmarks.toml."
     )
 

@@ -102,7 +102,9 @@ def _save(found: dict[str, Any], folder: Path, ct: Path, reach: float) -> dict[s
 
     from lacli.anatomy import fat, pictures
 
-    folder.mkdir(parents=True, exist_ok=True)
+    standard = found["standard"]
+    if not standard.mask.array.any():
+        raise AnatomyError(f"{ct}: no fat within {reach:g} mm of the blood pool; do CT and blood pool share a frame (LPS mm)?")
     report: dict[str, Any] = {
         "ct": str(ct),
         "within_mm": reach,
@@ -115,25 +117,20 @@ def _save(found: dict[str, Any], folder: Path, ct: Path, reach: float) -> dict[s
             }
             for w, f in found.items()
         },
-        "files": ["fat.json"],
     }
-    standard = found["standard"]
-    if standard.mask.array.any():
-        points, cells, region = fat.cells(standard)
-        for name, save in (
-            (
-                "fat.vtu",
-                lambda p: meshio.Mesh(points, [("hexahedron", cells)], cell_data={"region": [region.astype("int32")]}).write(p),
-            ),
-            ("fat.vtp", lambda p: pictures.polydata(fat.surface_of(standard)).save(p)),
-        ):
-            temporary = folder / f".part-{os.getpid()}-{name}"
-            save(temporary)
+    points, cells, region = fat.cells(standard)
+    surface = pictures.polydata(fat.surface_of(standard))
+    voxels = meshio.Mesh(points, [("hexahedron", cells)], cell_data={"region": [region.astype("int32")]})
+    report["files"] = ["fat.vtu", "fat.vtp", "fat.json"]
+    folder.mkdir(parents=True, exist_ok=True)
+    part = {name: folder / f".part-{os.getpid()}-{name}" for name in report["files"]}
+    try:  # all of them, then their names
+        voxels.write(part["fat.vtu"])
+        surface.save(part["fat.vtp"])
+        part["fat.json"].write_text(json.dumps(report, indent=2) + "\n")
+        for name, temporary in part.items():
             temporary.replace(folder / name)
-            report["files"].append(name)
-    else:
-        raise AnatomyError(f"{ct}: no fat within {reach:g} mm of the blood pool; do CT and blood pool share a frame (LPS mm)?")
-    temporary = folder / f".part-{os.getpid()}-fat.json"
-    temporary.write_text(json.dumps(report, indent=2) + "\n")
-    temporary.replace(folder / "fat.json")
+    finally:
+        for temporary in part.values():
+            temporary.unlink(missing_ok=True)
     return report

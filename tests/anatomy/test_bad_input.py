@@ -89,3 +89,12 @@ def test_text_that_is_called_a_surface_makes_one_message(tmp_path: Path, ending:
     error = refused(f"mesh {tmp_path}/text.{ending} --out {tmp_path}/a")
     assert isinstance(error, InputError) and "may be truncated" in str(error)
     assert capfd.readouterr() == ("", "")  # VTK's own warnings too
+
+
+def test_a_ct_without_fat_leaves_no_folder(labels: Path, tmp_path: Path) -> None:
+    shape = image.read(labels)
+    hu = np.where(shape.array == 2, 350.0, 40.0) + np.random.default_rng(0).normal(0, 25.0, shape.array.shape)
+    image.write(shape.with_array(hu.astype(np.float32)), tmp_path / "ct.nrrd")
+    error = refused(f"fat {tmp_path}/ct.nrrd --labels {labels} --la 2 --out {tmp_path}/fat")
+    assert isinstance(error, AnatomyError) and str(error).startswith(f"{tmp_path}/ct.nrrd: no fat within 5 mm")
+    assert not (tmp_path / "fat").exists()

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy import ndimage
 from shapes import icosphere
 
-from lacli.anatomy import fat, synthetic_image
+from lacli.anatomy import fat, image, synthetic_image
 from lacli.anatomy.image import Image
 
 BLOOD_MM, WALL_MM, OUTER_MM = 15.0, 2.0, 23.0
@@ -70,3 +73,24 @@ def test_the_truth_counts_by_distance_not_by_the_shape_s_own_measure() -> None:
     near = np.abs(measure - 4.5) < 0.2
     assert (measure + bias)[near] == pytest.approx((radius - 12.0)[near], abs=0.1)
     assert bias[20, 20, 20] == 0.0
+
+
+def test_the_command_writes_surface_voxels_and_figures(ct: Image, tmp_path: Path) -> None:
+    import meshio
+    from typer.testing import CliRunner
+
+    from lacli.cli.main import build as application
+
+    index = np.argwhere(np.ones(ct.array.shape, dtype=bool))
+    radius = np.linalg.norm(ct.to_world(index[:, ::-1]), axis=1).reshape(ct.array.shape)
+    image.write(ct, tmp_path / "ct.nrrd")
+    image.write(ct.with_array(np.where(radius < BLOOD_MM, 2, 0).astype(np.int16)), tmp_path / "labels.nrrd")
+    words = f"fat {tmp_path}/ct.nrrd --labels {tmp_path}/labels.nrrd --la 2 --out {tmp_path}/fat --json"
+    run = CliRunner().invoke(application({"fat"}), words)
+    assert run.exit_code == 0, run.output
+    windows = json.loads(run.stdout)["windows"]
+    for window in ("standard", "alternative"):
+        assert windows[window]["fat_ml"] == pytest.approx(2 / 3 * np.pi * (20.0**3 - 17.0**3) / 1000, rel=0.03)
+    assert sorted(p.name for p in (tmp_path / "fat").iterdir()) == ["fat.json", "fat.vtp", "fat.vtu"]
+    cells = meshio.read(tmp_path / "fat" / "fat.vtu").cells_dict["hexahedron"]
+    assert len(cells) * STEP**3 / 1000 == pytest.approx(windows["standard"]["voxels_in_window_ml"])
