@@ -22,7 +22,6 @@ CASES: tuple[tuple[str, float, float, tuple[str, ...]], ...] = (
     ("wall 1 mm", 1.0, 4.0, ()),
     ("wall 5 mm", 5.0, 4.0, ()),
     ("cells 8 mm", 2.0, 8.0, ()),
-    ("cells 1 mm", 2.0, 1.0, ()),
     ("EDP 0", 2.0, 4.0, ("loads.edp_mmhg=0",)),
     ("EDP 1", 2.0, 4.0, ("loads.edp_mmhg=1",)),
     ("ESP 13", 2.0, 4.0, ("loads.esp_mmhg=13",)),
@@ -35,6 +34,7 @@ CASES: tuple[tuple[str, float, float, tuple[str, ...]], ...] = (
     ("EDP 0, C 0.2", 2.0, 4.0, ("loads.edp_mmhg=0", "materials.c_kpa=0.2")),
     ("EDP 0, wall 5 mm", 5.0, 4.0, ("loads.edp_mmhg=0",)),
     ("EDP 0, wall 1 mm", 1.0, 4.0, ("loads.edp_mmhg=0",)),
+    ("cells 1 mm", 2.0, 1.0, ()),
 )
 
 
