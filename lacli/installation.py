@@ -13,7 +13,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from lacli import __version__
+from lacli import __version__, compiled
 from lacli.errors import SolverMissingError
 from lacli.mechanics import freefem as ff
 from lacli.mechanics.engine import PLUGIN_FLAGS, SLOWER
@@ -137,7 +137,7 @@ def _compiler(freefem: FreeFem) -> Check:
             ff.compile_plugin(freefem, source, flags=PLUGIN_FLAGS)
     except SolverMissingError as error:
         return Check(name, False, f"{error}; {_WITHOUT}", needed=False, fix=ff.INSTALL)
-    return Check(name, True, f"{freefem.compiler}, kept in {ff.default_cache()}")
+    return Check(name, True, f"{freefem.compiler}, kept in {compiled.cache_folder()}")
 
 
 def _run_python(code: str) -> tuple[bool, str]:

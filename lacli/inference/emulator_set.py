@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import zipfile
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
@@ -11,10 +10,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.blas import dtrmm
 
 from lacli.errors import InputError
-from lacli.inference import gp
+from lacli.inference import gp, moments
 from lacli.inference.emulator import Emulator
 from lacli.inference.scales import OutputScale
 from lacli.inference.threads import one_thread
@@ -23,12 +21,8 @@ from lacli.store import replacing
 FloatArray = NDArray[np.float64]
 
 FORMAT = 2
-# rows of a block: the block of kernel values of one output stays in the second-level cache
-_BLOCK = 512
 # runs whose correlations bound the variance from above in a first look
 _HEAD = 64
-# up to this many points one batched product over all outputs beats a loop over them
-_BATCH = 160
 
 
 @dataclass(frozen=True)
@@ -36,34 +30,24 @@ class _Stack:
     """Arrays for prediction. Features phi (m, 1 + f) = (1, t), t = inputs on the linear scale and those in ``logged`` on
     the logarithmic one too, in [-1, 1].
 
-    phi @ exponent (p, 1 + f, n) + t^2 @ square (f, p) = log of the kernel's correlation with each run, for all outputs in
-    one product as all_exponents (1 + f, p n); linear (p, 1 + f, 1 + q): the mean's and its uncertainty's part linear in
-    phi, as all_linear (1 + f, p (1 + q)); weights (p, n, 1 + q): their part linear in the correlations; roots (p, n, n):
-    transposed inverse Cholesky factors times s2, their first rows and columns alone (heads), and vertical strips of them
-    cut off below the diagonal: (last row, (p, rows, columns)); prior (p,): s2 + nugget; nugget (p,); moments (p,) for the
-    output, ``logs``: numbers of the outputs modelled as logarithms.
+    phi @ exponent + t^2 @ square (f, p) = log of the kernel's correlation with each run (``processes``); prior (p, 1): s2 +
+    nugget; nugget and what makes moments the output's (p, 1), gain for the variance; ``logs``: numbers of the outputs
+    modelled as logarithms.
     """
 
     logged: NDArray[np.int64]
-    low: FloatArray
-    high: FloatArray
-    exponent: FloatArray
+    middle: FloatArray
+    per_half_width: FloatArray
+    processes: moments.Processes
     square: FloatArray
-    all_exponents: FloatArray
-    linear: FloatArray
-    all_linear: FloatArray
-    weights: FloatArray
-    roots: FloatArray
-    heads: FloatArray
-    strips: tuple[tuple[int, FloatArray], ...]
     prior: FloatArray
     nugget: FloatArray
     shift: FloatArray
     scale: FloatArray
-    inflation: FloatArray
+    gain: FloatArray
     offset: FloatArray
     sign: FloatArray
-    logs: NDArray[np.int64]
+    logs: frozenset[int]
 
 
 @dataclass(frozen=True)
@@ -110,19 +94,30 @@ class EmulatorSet:
 
     def predict(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean (m, p) and variance (m, p) of the outputs at x (m, d), in the outputs' units and their squares."""
-        return self._evaluate(x, True)
+        mean, variance = self._predict(list(range(len(self.emulators))), x)
+        return mean.T, variance.T
 
     def predict_mean(self, x: FloatArray) -> FloatArray:
         """Mean (m, p) alone, at a fraction of the cost; of a logarithmic output, the median (no variance is computed)."""
-        return self._evaluate(x, False)[0]
+        s: _Stack = self._stack  # type: ignore[attr-defined]
+        which = list(range(len(self.emulators)))
+        found = moments.sums(s.processes, *_features(s, x), which, used=0)
+        _to_outputs(s, which, found.mean, np.zeros_like(found.mean))
+        return found.mean.T
 
     def predict_one(self, j: int, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean (m,) and variance (m,) of output number j at x (m, d)."""
-        s: _Stack = self._stack  # type: ignore[attr-defined]
-        mean, variance = np.empty((1, len(x))), np.empty((1, len(x)))
-        _blocks(s, [j], *_features(s, x), mean, variance)
-        _to_outputs(s, [j], mean, variance)
+        mean, variance = self._predict([j], x)
         return mean[0], variance[0]
+
+    def _predict(self, which: list[int], x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        s: _Stack = self._stack  # type: ignore[attr-defined]
+        found = moments.sums(s.processes, *_features(s, x), which)
+        variance = found.linear
+        variance -= found.explained
+        variance += s.prior[which]
+        _to_outputs(s, which, found.mean, variance)
+        return found.mean, variance
 
     def screen(self, j: int, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Bounds of output j at x (m, d) for a third of a prediction's cost: mean from, to; variance from, to; (m,) each.
@@ -131,120 +126,48 @@ class EmulatorSet:
         nugget is below it.
         """
         s: _Stack = self._stack  # type: ignore[attr-defined]
-        phi, squared = _features(s, x)
-        n = s.exponent.shape[2]
-        head = s.heads.shape[1]
-        buffer = np.empty((_BLOCK, n))
-        mean, variance = np.empty((2, len(x))), np.empty((2, len(x)))
-        for begin in range(0, len(x), _BLOCK):
-            f = phi[begin : begin + _BLOCK]
-            rows = slice(begin, begin + len(f))
-            k = buffer[: len(f)]
-            np.dot(f, s.exponent[j], out=k)
-            k += squared[rows, j, None]
-            np.exp(k, out=k)
-            t = k @ s.weights[j]
-            t += f @ s.linear[j]
-            w = t[:, 1:]
-            v = k[:, :head] @ s.heads[j]
-            mean[:, rows] = t[:, 0]
-            variance[0, rows] = s.nugget[j] + np.einsum("ij,ij->i", w, w)
-            spread = (s.prior[j] - s.nugget[j]) - np.einsum("ij,ij->i", v, v)
-            variance[1, rows] = variance[0, rows] + np.maximum(spread, 0.0)
+        found = moments.sums(s.processes, *_features(s, x), [j], used=_HEAD)
+        least = s.nugget[j, 0] + found.linear[0]
+        mean = np.stack([found.mean[0], found.mean[0]])
+        variance = np.stack([least, least + np.maximum(s.prior[j, 0] - s.nugget[j, 0] - found.explained[0], 0.0)])
         _to_outputs(s, [j, j], mean, variance)  # rows: at the least and at the greatest variance
-        if s.sign[j] < 0:  # the mean falls with the variance
+        if s.sign[j, 0] < 0:  # the mean falls with the variance
             mean = mean[::-1]
         return mean[0], mean[1], variance[0], variance[1]
-
-    def _evaluate(self, x: FloatArray, with_variance: bool) -> tuple[FloatArray, FloatArray]:
-        s: _Stack = self._stack  # type: ignore[attr-defined]
-        x = np.asarray(x, float)
-        m, p = len(x), len(self.emulators)
-        phi, squared = _features(s, x)
-        if m > _BATCH:
-            mean, variance = np.empty((p, m)), np.zeros((p, m))
-            _blocks(s, list(range(p)), phi, squared, mean, variance if with_variance else None)
-        else:
-            k = (phi @ s.all_exponents).reshape(m, p, -1)
-            k += squared[:, :, None]
-            np.exp(k, out=k)
-            k = k.transpose(1, 0, 2)
-            linear = (phi @ s.all_linear).reshape(m, p, -1).transpose(1, 0, 2)
-            if with_variance:
-                t = np.matmul(k, s.weights)
-                t += linear
-                mean = t[:, :, 0].copy()
-                w = t[:, :, 1:]
-                variance = np.einsum("pmq,pmq->pm", w, w)
-                variance += s.prior[:, None]
-                for end, strip in s.strips:
-                    v = np.matmul(k[:, :, :end], strip)
-                    variance -= np.einsum("pmn,pmn->pm", v, v)
-            else:
-                mean = np.matmul(k, s.weights[:, :, :1])[:, :, 0] + linear[:, :, 0]
-                variance = np.zeros((p, m))
-        _to_outputs(s, slice(None), mean, variance)
-        return mean.T, variance.T
 
 
 def _features(s: _Stack, x: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Features phi (m, 1 + f) of x (m, d), and the part (m, p) of the log correlations that is the same for all runs."""
     d = x.shape[1]
-    phi = np.empty((len(x), 1 + len(s.low)))
+    phi = np.empty((len(x), 1 + len(s.middle)))
     phi[:, 0] = 1.0
     t = phi[:, 1:]
     t[:, :d] = x
     if len(s.logged):
-        np.log(x[:, s.logged], out=t[:, d:])
-    t -= s.low
-    t *= 2.0 / (s.high - s.low)
-    t -= 1.0
+        np.log(x if len(s.logged) == d else x[:, s.logged], out=t[:, d:])
+    t -= s.middle
+    t *= s.per_half_width
     return phi, (t * t) @ s.square
 
 
-def _blocks(
-    s: _Stack, which: list[int], phi: FloatArray, squared: FloatArray, mean: FloatArray, variance: FloatArray | None
-) -> None:
-    """Fill mean and variance (len(which), m) output by output, in blocks of points that fit in cache."""
-    n = s.exponent.shape[2]
-    buffer = np.empty((_BLOCK, n))
-    for begin in range(0, len(phi), _BLOCK):
-        f = phi[begin : begin + _BLOCK]
-        k = buffer[: len(f)]
-        rows = slice(begin, begin + len(f))
-        for i, j in enumerate(which):
-            np.dot(f, s.exponent[j], out=k)
-            k += squared[rows, j, None]
-            np.exp(k, out=k)
-            if variance is None:
-                mean[i, rows] = k @ s.weights[j, :, 0] + f @ s.linear[j, :, 0]
-                continue
-            t = k @ s.weights[j]
-            t += f @ s.linear[j]
-            mean[i, rows] = t[:, 0]
-            w = t[:, 1:]
-            # k' in Fortran order shares k's memory: the triangular product happens in place, half a full one's cost
-            dtrmm(1.0, s.roots[j].T, k.T, lower=1, overwrite_b=1)
-            variance[i, rows] = s.prior[j] - np.einsum("ij,ij->i", k, k) + np.einsum("ij,ij->i", w, w)
-
-
-def _to_outputs(s: _Stack, which: list[int] | slice, mean: FloatArray, variance: FloatArray) -> None:
+def _to_outputs(s: _Stack, which: list[int], mean: FloatArray, variance: FloatArray) -> None:
     """The processes' moments (len(which), m) -> the outputs', in place."""
+    # all outputs, the common case, need no copies of the constants
+    mine: Any = slice(None) if len(which) == len(s.prior) and which == sorted(set(which)) else which
     # rounding may leave a variance a hair under the nugget's; it cannot be less than a part of the prior's
-    np.maximum(variance, 1e-12 * s.prior[which, None], out=variance)
-    mean *= s.scale[which, None]
-    mean += s.shift[which, None]
-    variance *= (s.inflation * s.scale**2)[which, None]
-    if isinstance(which, slice):
-        rows, logs = s.logs, s.logs
-    else:
-        rows = np.flatnonzero(np.isin(which, s.logs))
-        logs = np.array(which, np.int64)[rows]
-    if len(rows):
-        v = variance[rows]
-        e = np.exp(mean[rows] + 0.5 * v)
-        mean[rows] = s.sign[logs, None] * (e - s.offset[logs, None])
-        variance[rows] = np.expm1(v) * e**2
+    np.maximum(variance, 1e-12 * s.prior[mine], out=variance)
+    mean *= s.scale[mine]
+    mean += s.shift[mine]
+    variance *= s.gain[mine]
+    rows = [i for i, j in enumerate(which) if j in s.logs]
+    if rows:
+        logs = [which[i] for i in rows]
+        here: Any = slice(None) if len(rows) == len(which) else rows
+        v = variance[here]
+        e = np.exp(mean[here] + 0.5 * v)
+        mean[here] = s.sign[logs] * (e - s.offset[logs])
+        e *= e
+        variance[here] = np.expm1(v) * e
 
 
 def _stack(emulators: Sequence[Emulator]) -> _Stack:
@@ -280,20 +203,20 @@ def _stack(emulators: Sequence[Emulator]) -> _Stack:
         square.append(of_square)
         linear.append(np.hstack([(to_h @ g.beta)[:, None], to_h @ g.c.T]))
         weights.append(g.s2 * np.hstack([g.alpha[:, None], -(g.c @ g.g).T]))
-        roots.append(np.ascontiguousarray(g.s2 * g.inverse_factor.T))
-    n_strips = max(1, min(4, n // 32))
-    ends = np.linspace(0, n, n_strips + 1).astype(int)
-    stacked = np.array(roots)
-    strips = tuple((int(b), np.ascontiguousarray(stacked[:, :b, a:b])) for a, b in itertools.pairwise(ends))
+        roots.append(g.s2 * g.inverse_factor.T)
+
+    def tall(values: Sequence[float]) -> FloatArray:
+        return np.array(values)[:, None]
+
+    scales = [e.output_scale for e in emulators]
     return _Stack(
-        logged=logged, low=low, high=high, exponent=np.array(exponent), square=np.array(square).T.copy(),
-        all_exponents=np.hstack(exponent), linear=np.array(linear), all_linear=np.hstack(linear), weights=np.array(weights),
-        roots=stacked, heads=stacked[:, :_HEAD, :_HEAD].copy(), strips=strips,
-        nugget=np.array([e.process.nugget for e in emulators]),
-        prior=np.array([e.process.s2 + e.process.nugget for e in emulators]),
-        shift=np.array([e.shift for e in emulators]), scale=np.array([e.scale for e in emulators]),
-        inflation=np.array([e.inflation for e in emulators]), offset=np.array([e.output_scale.offset for e in emulators]),
-        sign=np.array([e.output_scale.sign for e in emulators]), logs=np.flatnonzero([e.output_scale.log for e in emulators]),
+        logged=logged, middle=0.5 * (low + high), per_half_width=2.0 / (high - low), square=np.array(square).T.copy(),
+        processes=moments.processes(np.array(exponent), np.array(linear), np.array(weights), np.array(roots)),
+        nugget=tall([e.process.nugget for e in emulators]), prior=tall([e.process.s2 + e.process.nugget for e in emulators]),
+        shift=tall([e.shift for e in emulators]), scale=tall([e.scale for e in emulators]),
+        gain=tall([e.inflation * e.scale**2 for e in emulators]),
+        offset=tall([o.offset for o in scales]), sign=tall([o.sign for o in scales]),
+        logs=frozenset(j for j, o in enumerate(scales) if o.log),
     )  # fmt: skip
 
 

@@ -20,6 +20,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from lacli import compiled
 from lacli.errors import SolverMissingError
 from lacli.mechanics.process import Ended, disk_is_full, mortal, supervise
 
@@ -317,12 +318,6 @@ def plugin_obstacle(freefem: FreeFem) -> str | None:
     return None
 
 
-def default_cache() -> Path:
-    """Where compiled plugins are kept: $XDG_CACHE_HOME/lacli or ~/.cache/lacli."""
-    root = os.environ.get("XDG_CACHE_HOME")
-    return (Path(root) if root else Path.home() / ".cache") / "lacli"
-
-
 def build_plugin(freefem: FreeFem, source: Path, cache_folder: Path | None = None, flags: Sequence[str] = ()) -> Path | None:
     """As ``compile_plugin``, but None, with the reason logged, when the plugin cannot be had."""
     try:
@@ -341,7 +336,7 @@ def compile_plugin(freefem: FreeFem, source: Path, cache_folder: Path | None = N
     """
     if obstacle := plugin_obstacle(freefem):
         raise SolverMissingError(f"{source.name} is not compiled: {obstacle}")
-    cache = (cache_folder or default_cache()).resolve()
+    cache = (cache_folder or compiled.cache_folder()).resolve()
     target = cache / _plugin_key(freefem, source, flags) / f"{source.stem}.so"
     if target.is_file():
         return target
@@ -388,7 +383,6 @@ def _plugin_key(freefem: FreeFem, source: Path, flags: Sequence[str]) -> str:
     texts = [source, *sorted(path for path in source.parent.iterdir() if path.suffix in (".hpp", ".h"))]
     parts = [path.read_text(encoding="utf-8") for path in texts]
     if any("native" in flag for flag in flags):  # a home shared by machines of several kinds
-        cpu = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
-        parts += [line for line in cpu.splitlines() if line.startswith(("flags", "Features"))][:1]
+        parts.append(compiled.processor())
     parts += [freefem.version, str(state.st_size), str(state.st_mtime_ns), str(freefem.compiler), compiler.strip(), *flags]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]

@@ -1,0 +1,93 @@
+"""The compiled sums and numpy's are the same numbers, whatever the counts; a missing compiler costs time alone."""
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lacli import compiled
+from lacli.inference import moments
+
+
+def make(p: int, f: int, n: int, q: int, seed: int = 0) -> tuple[moments.Processes, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    exponent, linear, weights = -0.2 * rng.random((p, f, n)), rng.standard_normal((p, f, q)), rng.standard_normal((p, n, q))
+    roots = np.triu(rng.standard_normal((p, n, n)))
+    return moments.processes(exponent, linear, weights, roots), exponent, roots
+
+
+needs_compiler = pytest.mark.skipif(moments._compiled() is None, reason="no C++ compiler here")
+
+
+@needs_compiler
+@settings(max_examples=30, deadline=None)
+@given(
+    st.integers(1, 3),
+    st.integers(1, 9),
+    st.integers(1, 40),
+    st.integers(1, 12),
+    st.integers(1, 120),
+    st.sampled_from([0, 8, 999]),
+)
+def test_compiled_and_numpy_agree(p, f, n, q, m, used):
+    s, _, _ = make(p, f, n, q, seed=n)
+    rng = np.random.default_rng(m)
+    phi, shift = rng.standard_normal((m, f)), -rng.random((m, p))
+    which = [p - 1, 0]
+    ours = moments.sums(s, phi, shift, which, used)
+    theirs = moments._by_numpy(s, phi, shift, which, min(used, s.runs))
+    for a, b in ((ours.mean, theirs.mean), (ours.linear, theirs.linear), (ours.explained, theirs.explained)):
+        np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-11)
+
+
+@pytest.mark.parametrize("by_numpy", [False, True])
+def test_sums_are_those_of_the_definition(by_numpy, monkeypatch):
+    if by_numpy:
+        monkeypatch.setattr(moments, "_compiled", lambda: None)
+    s, exponent, roots = make(2, 4, 21, 3)
+    rng = np.random.default_rng(1)
+    phi, shift = rng.standard_normal((7, 4)), -rng.random((7, 2))
+    found = moments.sums(s, phi, shift, [1])
+    k = np.exp(phi @ exponent[1] + shift[:, 1:])
+    np.testing.assert_allclose(found.explained[0], ((k @ roots[1]) ** 2).sum(1), rtol=1e-12)
+    t = phi @ s.weights[1, :4, :3] + k @ s.weights[1, 4:25, :3]
+    np.testing.assert_allclose(found.mean[0], t[:, 0], rtol=1e-11)
+    np.testing.assert_allclose(found.linear[0], (t[:, 1:] ** 2).sum(1), rtol=1e-11)
+
+
+@needs_compiler
+def test_a_point_has_the_same_bits_in_any_company():
+    s, _, _ = make(2, 5, 30, 4)
+    rng = np.random.default_rng(2)
+    phi, shift = rng.standard_normal((101, 5)), -rng.random((101, 2))
+    together = moments.sums(s, phi, shift, [0, 1])
+    alone = moments.sums(s, phi[77:78], shift[77:78], [0, 1])
+    assert np.array_equal(together.explained[:, 77:78], alone.explained)
+    assert np.array_equal(together.mean[:, 77:78], alone.mean)
+
+
+@needs_compiler
+def test_exponentials_are_right_to_the_edge_of_the_numbers():
+    """exp(-731) is denormal: a library that flushes such numbers to zero would have changed the whole process's rounding."""
+    s = moments.processes(np.zeros((1, 1, 8)), np.zeros((1, 1, 1)), np.ones((1, 8, 1)) * 0.125, np.zeros((1, 8, 8)))
+    shift = np.array([[-731.0], [-800.0], [0.0], [-1.0]])
+    found = moments.sums(s, np.ones((4, 1)), shift, [0]).mean[0]
+    # eight denormal numbers, each rounded to a multiple of 5e-324
+    np.testing.assert_allclose(found, np.exp(shift[:, 0]), rtol=1e-15, atol=8 * 5e-324)
+    assert 0 < found[0] < 1e-300
+    assert np.float64(1e-320) * 1.0 > 0
+
+
+def test_what_does_not_compile_is_said_and_left(tmp_path: Path, monkeypatch, caplog):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    source = tmp_path / "broken.cpp"
+    source.write_text("this is not C++\n")
+    with caplog.at_level(logging.INFO):
+        assert compiled.library(source) is None
+    assert "broken.cpp" in caplog.text
+    assert not list((tmp_path / "cache").rglob("*.so"))
+    monkeypatch.setenv("CXX", "/nowhere/g++")
+    assert compiled.library(tmp_path / "other.cpp") is None
