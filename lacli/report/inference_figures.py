@@ -66,7 +66,7 @@ def validation_figure(scores: Sequence[Scores], y: FloatArray, path: Path) -> Pa
             axis.tick_params(labelsize=7)
             axis.locator_params(nbins=4)
         figure.supxlabel("simulated", fontsize=8)
-        figure.supylabel("predicted without the run (± 2 sd)", fontsize=8)
+        figure.supylabel("predicted without the run (± 2 sd; red: outside)", fontsize=8)
         return save(figure, path)
 
 

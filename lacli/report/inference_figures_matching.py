@@ -54,15 +54,9 @@ def region_figure(
                 for side in axis.spines.values():
                     side.set_linewidth(0.4)
                 if i == j:
-                    axis.text(
-                        0.5,
-                        0.5,
-                        label(box.names[i]).replace(" ", "\n") + f"\n{box.lower[i]:g} to {box.upper[i]:g}",
-                        ha="center",
-                        va="center",
-                        fontsize=6,
-                        transform=axis.transAxes,
-                    )
+                    words = label(box.names[i]).replace(" ", "\n") + f"\n{box.lower[i]:.3g}\nto {box.upper[i]:.3g}"
+                    name = axis.text(0.5, 0.5, words, ha="center", va="center", fontsize=5.5, transform=axis.transAxes)
+                    name.set_in_layout(False)  # a long name may not narrow its column
                     continue
                 flat = cell[:, i] * _CELLS + cell[:, j]
                 if i > j:
