@@ -113,7 +113,7 @@ def _simulate(
         "engine": engine.name(plugin),
         "versions": {"freefem": freefem.find().version},
     }
-    if outcome.kind is not None:
+    if outcome.kind is not None and not (outcome.kind == "timeout" and _results_stand(folder)):
         _keep_last_state(work, plan, folder)
         _tidy(folder)
         run.finish("failed", kind=outcome.kind, message=outcome.message, **usage)
@@ -134,6 +134,18 @@ def _simulate(
     run.finish("done", products=products, newton_iterations=features["newton_iterations"], **usage)
 
 
+def _history(folder: Path) -> list[str]:
+    """Whole lines of the deck's history; [] where there is none."""
+    with contextlib.suppress(OSError):
+        return (folder / "history.txt").read_text(encoding="ascii").split("\n")[:-1]
+    return []
+
+
+def _results_stand(folder: Path) -> bool:
+    """Whether end-systole was reached: only the unloaded state, an extra, may still be missing."""
+    return "end" in _history(folder)
+
+
 def _renumbered(motion: Motion | None, bundle: Bundle, order: int) -> Motion | None:
     """The motion with point ids of the mesh of that order."""
     if motion is None or order == bundle.order:
@@ -148,7 +160,7 @@ def _read_states(bundle: Bundle, plan: Plan, folder: Path) -> tuple[dict[str, St
     """States by name in order of time, and the other lines of the history."""
     states: dict[str, State] = {}
     other: dict[str, list[float]] = {}
-    lines = (folder / "history.txt").read_text(encoding="ascii").split("\n")
+    lines = _history(folder)
     if "end" not in lines:
         raise ValueError("history.txt has no end")
     for line in lines:

@@ -132,6 +132,28 @@ def test_backward_displacement_returns_to_the_image(folder: Path, tmp_path: Path
     assert result.features["unloaded_volume_ml"] < result.features["edv_ml"] < result.features["esv_ml"]
 
 
+def test_out_of_time_in_the_unloaded_state_loses_that_state_alone(folder: Path, tmp_path: Path, monkeypatch) -> None:
+    run = freefem.run
+
+    def cut(*arguments, **options):
+        """The run as if stopped while the unloaded state was sought, in the middle of a line."""
+        outcome = run(*arguments, **options)
+        history = arguments[2] / "history.txt"
+        before = history.read_text().split("state unloaded")[0]
+        assert before.endswith("end\n")
+        history.write_text(before + "state unlo")
+        (arguments[2] / "unloaded.txt").unlink()
+        return replace(outcome, kind="timeout", message="stopped")
+
+    overrides = ("loads.edp_mmhg=2", "loads.esp_mmhg=5")
+    whole = simulation.run_scene(scene(folder, *overrides), tmp_path / "whole")
+    monkeypatch.setattr(freefem, "run", cut)
+    result = simulation.run_scene(scene(folder, *overrides), tmp_path / "cut")
+    assert result.status == "done"
+    assert result.features["unloaded_volume_ml"] is None
+    assert result.features["esv_ml"] == pytest.approx(whole.features["esv_ml"], rel=1e-12)
+
+
 def test_a_run_out_of_time_is_kept_with_its_kind(folder: Path, tmp_path: Path) -> None:
     result = simulation.run_scene(scene(folder, "numerics.timeout_s=0.3", "numerics.order=2", "loads.edp_mmhg=5"), tmp_path)
     assert (result.status, result.kind) == ("failed", "timeout")
