@@ -205,7 +205,7 @@ SLIPS = {
     ],
     "elements.hpp": [
         ("meanL[c] += w * L[c];", "meanL[c] += w * L[c], s.R[4 * c + 3] += 1e-6 * w;", "patch"),
-        ("const double w = rule.w[q] * JX;", "const double w = rule.w[q] * (0.999 * JX + 0.001);", "patch"),
+        ("w = rule.w[q] * JX / (stretch", "w = rule.w[q] * (0.999 * JX + 0.001) / (stretch", "patch"),
         ("(V[j] - Vf * f[j])", "V[j]", "patch"),
         ("-= m * p[d] * g0[b][j]", "-= 0.99 * m * p[d] * g0[b][j]", "patch"),
         ("value * w * N[a] * t[i]", "value * w * N[a] * (t[i] + 1e-6 * x1[i])", "pressure"),
