@@ -11,6 +11,7 @@ import os
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 _FLAGS = ("-shared", "-fPIC", "-O3", "-std=c++17", "-fno-math-errno", "-march=native")
@@ -33,37 +34,47 @@ def processor() -> str:
     return ""
 
 
+def compiler_version(compiler: str | Path) -> str:
+    """What the compiler calls its version; raises OSError where it does not start, SubprocessError where it hangs."""
+    command = [str(compiler), "-dumpfullversion"]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=_TIMEOUT_S).stdout.strip()
+
+
+def kept(cache: Path, parts: tuple[str, ...], name: str, build: Callable[[Path], Path]) -> Path:
+    """The file ``name`` kept in ``cache`` under a key of all it depends on; made at first use.
+
+    ``build`` makes it in a temporary folder, from where it is moved into place, so several processes may ask at once.
+    """
+    target = cache / hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16] / name
+    if not target.is_file():
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".build-", dir=cache) as folder:
+            build(Path(folder)).replace(target)
+    return target
+
+
 @functools.cache
 def library(source: Path) -> ctypes.CDLL | None:
     """The library of one C++ file, compiled once per source, compiler and processor; None, logged, where it cannot be had.
 
-    LACLI_COMPILED=0 does without. Built in a temporary folder, loaded, and moved into place, so several processes may ask
-    at once.
+    LACLI_COMPILED=0 does without.
     """
     compiler = shutil.which(os.environ.get("CXX", "g++"))
     if compiler is None or os.environ.get("LACLI_COMPILED") == "0":
         _logger.info("%s is not compiled: no compiler, or LACLI_COMPILED=0", source.name)
         return None
-    try:
-        version = subprocess.run(
-            [compiler, "-dumpfullversion"], capture_output=True, text=True, check=False, timeout=_TIMEOUT_S
-        ).stdout.strip()
-        parts = (source.read_text(encoding="utf-8"), compiler, version, processor(), *_FLAGS, *_LIBRARIES)
-        key = hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
-        target = cache_folder() / key / f"{source.stem}.so"
-        if not target.is_file():
-            _build(compiler, source, target)
-        return ctypes.CDLL(str(target))
-    except (OSError, subprocess.SubprocessError) as error:
-        _logger.info("%s is not compiled: %s", source.name, getattr(error, "stderr", None) or error)
-        return None
 
-
-def _build(compiler: str, source: Path, target: Path) -> None:
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=".build-", dir=target.parent) as folder:
-        built = Path(folder) / target.name
+    def build(folder: Path) -> Path:
+        built = folder / f"{source.stem}.so"
         command = [compiler, *_FLAGS, str(source.resolve()), "-o", str(built), *_LIBRARIES]
         subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True, timeout=_TIMEOUT_S)
         ctypes.CDLL(str(built))
-        built.replace(target)
+        return built
+
+    try:
+        text = source.read_text(encoding="utf-8")
+        parts = (text, compiler, compiler_version(compiler), processor(), *_FLAGS, *_LIBRARIES)
+        return ctypes.CDLL(str(kept(cache_folder(), parts, f"{source.stem}.so", build)))
+    except (OSError, subprocess.SubprocessError) as error:
+        _logger.info("%s is not compiled: %s", source.name, getattr(error, "stderr", None) or error)
+        return None

@@ -153,7 +153,7 @@ def _features(s: _Stack, x: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _to_outputs(s: _Stack, which: list[int], mean: FloatArray, variance: FloatArray) -> None:
     """The processes' moments (len(which), m) -> the outputs', in place."""
     # all outputs, the common case, need no copies of the constants
-    mine: Any = slice(None) if len(which) == len(s.prior) and which == sorted(set(which)) else which
+    mine: Any = slice(None) if which == list(range(len(s.prior))) else which
     # rounding may leave a variance a hair under the nugget's; it cannot be less than a part of the prior's
     np.maximum(variance, 1e-12 * s.prior[mine], out=variance)
     mean *= s.scale[mine]

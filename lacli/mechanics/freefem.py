@@ -8,7 +8,6 @@ block-buffered, so a script follows each such line by ``cout.flush;``.
 from __future__ import annotations
 
 import functools
-import hashlib
 import logging
 import os
 import re
@@ -337,16 +336,11 @@ def compile_plugin(freefem: FreeFem, source: Path, cache_folder: Path | None = N
     if obstacle := plugin_obstacle(freefem):
         raise SolverMissingError(f"{source.name} is not compiled: {obstacle}")
     cache = (cache_folder or compiled.cache_folder()).resolve()
-    target = cache / _plugin_key(freefem, source, flags) / f"{source.stem}.so"
-    if target.is_file():
-        return target
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=".build-", dir=cache) as folder:
-            _compile(freefem, source, Path(folder), flags).replace(target)
-    except OSError as error:
+        parts = _plugin_parts(freefem, source, flags)
+        return compiled.kept(cache, parts, f"{source.stem}.so", lambda folder: _compile(freefem, source, folder, flags))
+    except (OSError, subprocess.TimeoutExpired) as error:
         raise SolverMissingError(f"{source.name} is not compiled: {error}") from error
-    return target
 
 
 def _compile(freefem: FreeFem, source: Path, folder: Path, flags: Sequence[str]) -> Path:
@@ -377,12 +371,12 @@ def _libraries(source: Path) -> list[str]:
     return found[1].split() if found else []
 
 
-def _plugin_key(freefem: FreeFem, source: Path, flags: Sequence[str]) -> str:
-    compiler = subprocess.run([str(freefem.compiler), "-dumpfullversion"], capture_output=True, text=True, check=False).stdout
+def _plugin_parts(freefem: FreeFem, source: Path, flags: Sequence[str]) -> tuple[str, ...]:
+    """What a compiled plugin depends on."""
     state = freefem.binary.resolve().stat()
     texts = [source, *sorted(path for path in source.parent.iterdir() if path.suffix in (".hpp", ".h"))]
     parts = [path.read_text(encoding="utf-8") for path in texts]
-    if any("native" in flag for flag in flags):  # a home shared by machines of several kinds
+    if any("native" in flag for flag in flags):
         parts.append(compiled.processor())
-    parts += [freefem.version, str(state.st_size), str(state.st_mtime_ns), str(freefem.compiler), compiler.strip(), *flags]
-    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
+    version = compiled.compiler_version(str(freefem.compiler))
+    return (*parts, freefem.version, str(state.st_size), str(state.st_mtime_ns), str(freefem.compiler), version, *flags)

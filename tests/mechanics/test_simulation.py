@@ -155,7 +155,7 @@ def test_out_of_time_in_the_unloaded_state_loses_that_state_alone(folder: Path, 
 
 
 def test_a_run_out_of_time_is_kept_with_its_kind(folder: Path, tmp_path: Path) -> None:
-    result = simulation.run_scene(scene(folder, "numerics.timeout_s=0.3", "numerics.order=2", "loads.edp_mmhg=5"), tmp_path)
+    result = simulation.run_scene(scene(folder, "numerics.timeout_s=0.05", "numerics.order=2", "loads.edp_mmhg=5"), tmp_path)
     assert (result.status, result.kind) == ("failed", "timeout")
     assert (result.folder / "solver.log").is_file()
 
