@@ -27,6 +27,7 @@ from lacli.anatomy import (
     regions,
     repair,
     shell,
+    subdivision,
     synthetic,
     synthetic_image,
     tagged,
@@ -282,7 +283,7 @@ def cohort(seeds: range = range(1, 11)) -> None:
 def curved_volume_ml(bundle) -> float:  # type: ignore[no-untyped-def]
     """Cavity volume of a bundle with 10-node cells, its faces bent: each as four flat triangles."""
     faces = bundle.triangles[(bundle.tags == 1) | (bundle.tags >= 21)]
-    cavity = thickness.straight(faces)[:, ::-1]
+    cavity = subdivision.straight(faces)[:, ::-1]
     return Surface(bundle.points, cavity, np.zeros(len(cavity), dtype=np.int64)).volume_ml()
 
 

@@ -37,12 +37,12 @@ def polydata(surface: Surface) -> Any:
 
 def _boundary(bundle: Bundle, keep: NDArray[np.bool_]) -> Any:
     from lacli.anatomy.coordinates import cell_label
-    from lacli.anatomy.thickness import straight
+    from lacli.anatomy.subdivision import straight
 
     faces = bundle.triangles[keep]
     fine = straight(faces)
     repeat = len(fine) // max(len(faces), 1)
-    label = np.tile(cell_label(bundle, faces[:, :3]), repeat)
+    label = np.repeat(cell_label(bundle, faces[:, :3]), repeat)
     return polydata(Surface(bundle.points, fine, label))
 
 

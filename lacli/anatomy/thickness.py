@@ -12,6 +12,7 @@ from scipy.sparse.linalg import cg
 from lacli.anatomy import laplace
 from lacli.anatomy.bundle import ENDO, EPI, REGIONS, Bundle
 from lacli.anatomy.fibres import recovered
+from lacli.anatomy.subdivision import straight
 from lacli.errors import AnatomyError
 
 FloatArray = NDArray[np.float64]
@@ -44,14 +45,6 @@ def of_bundle(bundle: Bundle) -> Thickness:
     eik = eikonal(bundle.points, inner, straight(epi))
     lap = along_laplace(bundle.points, tets, inner, np.setdiff1d(outer, inner))
     return Thickness(inner, eik, lap, regional(bundle, inner, eik, lap))
-
-
-def straight(triangles: IntArray) -> IntArray:
-    """10-node faces (t, 6) as four flat triangles each; (t, 3) unchanged."""
-    if triangles.shape[1] == 3:
-        return triangles
-    a, b, c, ab, bc, ca = triangles.T
-    return np.concatenate([np.column_stack(t) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
 
 
 def eikonal(points: FloatArray, endo: IntArray, epi: IntArray) -> FloatArray:

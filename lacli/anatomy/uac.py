@@ -46,7 +46,7 @@ RIM = {
     "rspv": Circle(0.115, 0.555, 0.02, 0.02),
 }
 SUPERIOR_WIDTH, SUPERIOR_HEIGHT = 0.23, 0.11  # half ellipses of the superior junctions, standing on beta = 0.5
-FINE_MM = 0.8
+FINE_MM = 0.4
 BAND = 0.01  # width, in the first round's coordinates, of the strips that stand for a line through a vessel's extreme
 
 

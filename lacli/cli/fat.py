@@ -89,7 +89,7 @@ def _pool(labels: Path | None, la: int | None, anatomy: Any) -> Any:
         with naming(labels):
             label = la_label(labels, image.label_volumes(map_), la)
             return extraction.surface_of(extraction.blood_pool(map_, label).mask)
-    from lacli.anatomy.thickness import straight
+    from lacli.anatomy.subdivision import straight
 
     triangles = straight(anatomy.triangles[(anatomy.tags == 1) | (anatomy.tags >= 21)])[:, ::-1].copy()
     return compact(Surface(anatomy.points, triangles, np.zeros(len(triangles), dtype=np.int64)))
