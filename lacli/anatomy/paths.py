@@ -63,49 +63,73 @@ class Ways:
 
     points: FloatArray
     edges: IntArray
+    length: FloatArray
+    along: csr_matrix
     place: FloatArray
-    graph: csr_matrix
+    across: csr_matrix
 
     @classmethod
     def over(cls, points: FloatArray, triangles: IntArray) -> Ways:
-        """For points (n, 3) mm and triangles (t, 3)."""
+        """For points (n, 3) mm and triangles (t, 3), no triangle twice."""
         edges, _, of = edge_table(triangles)
         share = np.arange(1, STEINER + 1) / (STEINER + 1)
         a, b = points[edges[:, 0]], points[edges[:, 1]]
         place = np.vstack([points, (a[:, None] + share[None, :, None] * (b - a)[:, None]).reshape(-1, 3)])
         on_edge = len(points) + np.arange(len(edges) * STEINER).reshape(-1, STEINER)
-        border = np.concatenate([triangles, on_edge[of].reshape(len(triangles), -1)], axis=1)
-        i, j = np.triu_indices(border.shape[1], 1)
-        low, high = np.minimum(border[:, i], border[:, j]).ravel(), np.maximum(border[:, i], border[:, j]).ravel()
-        keys = np.unique(low * len(place) + high)
-        low, high = keys // len(place), keys % len(place)
-        length = np.linalg.norm(place[low] - place[high], axis=1)
-        return cls(points, edges, place, coo_matrix((length, (low, high)), shape=(len(place), len(place))).tocsr())
+        # points of different sides are joined within one triangle only; along an edge, shared by two, each is to the next
+        border = np.hstack([triangles, on_edge[of].reshape(len(triangles), -1)])
+        i, j = _across(STEINER)
+        steps = np.column_stack([edges[:, 0], on_edge, edges[:, 1]])
+        low = np.concatenate([border[:, i].ravel(), steps[:, :-1].ravel()])
+        high = np.concatenate([border[:, j].ravel(), steps[:, 1:].ravel()])
+        length = np.linalg.norm(b - a, axis=1)
+        return cls(
+            points,
+            edges,
+            length,
+            _graph(edges[:, 0], edges[:, 1], length, len(points)),
+            place,
+            _graph(low, high, np.linalg.norm(place[low] - place[high], axis=1), len(place)),
+        )
 
     def line(self, start: int, goals: IntArray | int) -> FloatArray:
         """The shortest way (k, 3) mm from point ``start`` to the nearest of ``goals``."""
-        distance, before = (
-            row[0] for row in dijkstra(self.graph, directed=False, indices=np.array([start]), return_predecessors=True)
-        )
         ends = np.unique(np.atleast_1d(np.asarray(goals, dtype=np.int64)))
-        end = int(ends[np.argmin(distance[ends])])
-        if not np.isfinite(distance[end]):
+        # no way is longer than the one along the edges: nothing further off needs a look
+        far = float(dijkstra(self.along, directed=False, indices=start)[ends].min())
+        if not np.isfinite(far):
             raise AnatomyError("two landmarks lie on unconnected parts of the surface.")
-        return self.place[_walk_back(before, start, end)]
+        distance, before = dijkstra(
+            self.across, directed=False, indices=start, return_predecessors=True, limit=far * (1.0 + 1e-9)
+        )
+        return self.place[_walk_back(before, start, int(ends[np.argmin(distance[ends])]))]
 
     def path(self, start: int, goals: IntArray | int) -> IntArray:
         """Point ids of the edge path from ``start`` to one of ``goals`` that keeps nearest to the shortest way there."""
         way = self.line(start, goals)
         ends = np.atleast_1d(np.asarray(goals, dtype=np.int64))
         end = int(ends[np.argmin(np.linalg.norm(self.points[ends] - way[-1], axis=1))])
-        length = np.linalg.norm(self.points[self.edges[:, 0]] - self.points[self.edges[:, 1]], axis=1)
         fine = np.vstack([way[:-1] + s * np.diff(way, axis=0) for s in (0.0, 0.25, 0.5, 0.75)] + [way[-1:]])
-        away, _ = cKDTree(fine).query(self.points[self.edges])
-        cost = length * (1e-3 + (away**2).mean(axis=1) / float(length.mean()) ** 2)
-        size = len(self.points)
-        graph = coo_matrix((cost, (self.edges[:, 0], self.edges[:, 1])), shape=(size, size)).tocsr()
-        _, before = dijkstra(graph, directed=False, indices=np.array([start]), return_predecessors=True)
-        return _walk_back(before[0], start, end)
+        # the triangles that the way crosses are within an edge of it: how far off points beyond two are does not matter
+        beyond = 2.0 * float(self.length.max())
+        away, _ = cKDTree(fine).query(self.points, distance_upper_bound=beyond)
+        away = np.minimum(away, beyond)
+        cost = self.length * (1e-3 + (away[self.edges] ** 2).mean(axis=1) / float(self.length.mean()) ** 2)
+        graph = _graph(self.edges[:, 0], self.edges[:, 1], cost, len(self.points))
+        _, before = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
+        return _walk_back(before, start, end)
+
+
+def _graph(low: IntArray, high: IntArray, weight: FloatArray, size: int) -> csr_matrix:
+    return coo_matrix((weight, (low, high)), shape=(size, size)).tocsr()
+
+
+def _across(steiner: int) -> tuple[IntArray, IntArray]:
+    """Pairs of a triangle's border points (corners, then those of sides 01, 12, 20) that lie on no common side."""
+    side = [{0, 2}, {0, 1}, {1, 2}] + [{k} for k in range(3) for _ in range(steiner)]
+    pairs = [(i, j) for i in range(len(side)) for j in range(i + 1, len(side)) if not side[i] & side[j]]
+    i, j = np.array(pairs, dtype=np.int64).T
+    return i, j
 
 
 def _walk_back(before: IntArray, start: int, end: int) -> IntArray:
