@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from lacli.anatomy import fibres, laplace, paths, regions, subdivision, uac
 from lacli.anatomy.bundle import ENDO, EPI, OPENINGS, PLANES, REGIONS, RINGS, TET10_EDGES, Bundle
+from lacli.anatomy.triangles import area_normals
 from lacli.errors import AnatomyError
 
 FloatArray = NDArray[np.float64]
@@ -48,7 +49,7 @@ class Laid:
 
 @dataclass(frozen=True)
 class Described:
-    """A bundle with coordinates, regions and fibres, and the counts that the report names."""
+    """A bundle with coordinates, regions and fibres; the regions' lines; how many triangles took the region around them."""
 
     bundle: Bundle
     lines: regions.Lines
@@ -178,21 +179,29 @@ def _cell_regions(bundle: Bundle, inner: Laid, lines: regions.Lines) -> tuple[In
     """Regions of the endocardium's fine triangles, islands corrected, carried to the cells behind them."""
     points, triangles = inner.layer.points, inner.layer.triangles
     region = regions.of_triangles(inner.uac, triangles, lines)
-    behind = cell_behind(bundle, bundle.triangles[inner.layer.source, :3])
+    faces, face = np.unique(inner.layer.source, return_inverse=True)
+    corners = bundle.triangles[faces, :3]
+    behind = cell_behind(bundle, corners)
     body = bundle.region[behind] < 10
-    a, b, c = (points[triangles[:, i]] for i in range(3))
-    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    region, islands = regions.without_islands(triangles, region, area, body)
+    under = body[face]
+    area = 0.5 * np.linalg.norm(area_normals(points[triangles]), axis=1)
+    region, islands = regions.without_islands(triangles, region, area, under)
     cells = bundle.region < 10
     out = bundle.region.copy()
-    nearest = _feet(bundle, cells, (a + b + c)[body] / 3.0)
-    out[cells] = region[body][nearest]
+    out[cells] = region[under][_feet(bundle, cells, points[triangles[under]].mean(axis=1))]
     # features are means over the faces of the cells at the endocardium: these take what most of their faces' area is
+    of_face = _most(face, region, area, len(faces))
+    size = np.bincount(face, area).astype(np.float64)
+    of_face, more = regions.without_islands(corners, of_face, size, body)
+    owner = np.unique(behind[body])
+    out[owner] = _most(behind[body], of_face[body], size[body], len(bundle.tets))[owner]
+    return out, islands + more
+
+
+def _most(group: IntArray, region: IntArray, area: FloatArray, count: int) -> IntArray:
+    """The region (count,) with the largest area in each group, of members with group, region and area (k,)."""
     kinds = max(REGIONS.values()) + 1
-    share = np.bincount(behind[body] * kinds + region[body], area[body], len(bundle.tets) * kinds).reshape(-1, kinds)
-    owner = share.any(axis=1)
-    out[owner] = share[owner].argmax(axis=1)
-    return out, islands
+    return np.bincount(group * kinds + region, area, count * kinds).reshape(count, kinds).argmax(axis=1)
 
 
 def _feet(bundle: Bundle, cells: NDArray[np.bool_], centres: FloatArray) -> IntArray:
