@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 from lacli.anatomy import cells
-from lacli.anatomy.bundle import OPENINGS, PLANES, RINGS, Bundle, check, load, save
-from lacli.anatomy.shell import frame_of
+from lacli.anatomy.bundle import OPENINGS, PLANES, REGIONS, RINGS, Bundle, check, load, save
+from lacli.anatomy.coordinates import describe
+from lacli.anatomy.shell import frame_of, mesh_shell
 from lacli.anatomy.surface import Surface, defects
 from lacli.anatomy.synthetic import cavity, signed_distance, sized, synthesize
 from lacli.anatomy.synthetic_shape import COHORT_ML, cohort_volume
+from lacli.anatomy.triangles import area_normals
 from lacli.errors import AnatomyError, InputError
+from lacli.mechanics.features import endocardial_regions
 from lacli.motion.annulus import FILE, Motion, annulus_points, descend, load_motion, save_motion
 
 VOLUME = 80.0
@@ -47,6 +50,25 @@ def test_the_mesh_encloses_the_volume_asked(made: tuple[Bundle, Motion]) -> None
     wall = cells.enclosed_volume_ml(bundle.points, bundle.triangles) * 1000
     assert 2.0 * inner < wall < 2.4 * inner
     assert set(np.unique(bundle.region)) == {1, 2, 3, 4, 5, *RINGS.values(), *PLANES.values()}
+
+
+def test_regions_do_not_follow_the_cells(made: tuple[Bundle, Motion]) -> None:
+    bundle, _ = made
+    coarse = describe(mesh_shell(cavity(sized(4, VOLUME)), 2.0, 8.0)).bundle
+    (share, centre), (other, elsewhere) = places(bundle), places(coarse)
+    # cells of 8 mm against 4 mm; coordinates on the cells' own nodes gave 0.010 and 1.1 - 1.7 mm
+    assert other == pytest.approx(share, abs=0.007)
+    assert np.linalg.norm(elsewhere - centre, axis=1).max() < 0.9
+
+
+def places(bundle: Bundle) -> tuple[np.ndarray, np.ndarray]:
+    """Each region's share of the endocardium's area, and its centre (mm)."""
+    faces, region = endocardial_regions(bundle)
+    corner = bundle.points[faces[:, :3]]
+    area = np.linalg.norm(area_normals(corner), axis=1)
+    mine = [region == number for number in REGIONS.values()]
+    share = np.array([area[m].sum() for m in mine]) / area.sum()
+    return share, np.array([np.average(corner[m].mean(axis=1), weights=area[m], axis=0) for m in mine])
 
 
 @pytest.mark.parametrize("seed", [1, 7])
