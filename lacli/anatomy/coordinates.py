@@ -96,12 +96,14 @@ def layer_of(bundle: Bundle, side: int) -> Layer:
 
 
 def fine_layer_of(bundle: Bundle, side: int) -> Layer:
-    """The same side in triangles of about FINE_MM, their points on the curved faces."""
+    """The same side in triangles of about FINE_MM, their points on the curved faces. Raises AnatomyError where it has none."""
     chosen, vessel = _faces(bundle, side)
+    if len(chosen) == 0:
+        raise AnatomyError(f"the wall has no {'endocardium' if side == ENDO else 'epicardium'}.")
     faces = bundle.triangles[chosen]
     edge = bundle.points[faces[:, [1, 2, 0]]] - bundle.points[faces[:, :3]]
     # an even number along each edge: the nodes at the middles are among the points
-    k = max(2, 2 * round(float(np.linalg.norm(edge, axis=2).mean()) / (2.0 * FINE_MM))) if len(faces) else 2
+    k = max(2, 2 * round(float(np.linalg.norm(edge, axis=2).mean()) / (2.0 * FINE_MM)))
     fine = subdivision.subdivide(bundle.points, faces, k)
     return Layer(fine.points, fine.triangles, vessel[fine.source], chosen[fine.source], fine.node)
 
