@@ -34,6 +34,7 @@ from lacli.scene import Scene, content_hash, dump_scene
 
 _logger = logging.getLogger(__name__)
 _FULL = (errno.ENOSPC, errno.EDQUOT)
+_IN_THE_WAY = "{}: a folder of that name is in the way. Choose another name."
 # failures of the machine, not of the scene: asked again, they run again
 TRANSIENT_KINDS = frozenset({"killed", "disk_full", "out_of_memory"})
 
@@ -60,6 +61,28 @@ def replacing(path: Path) -> Iterator[Path]:
             temporary.replace(path)
         finally:
             temporary.unlink(missing_ok=True)
+
+
+def check_folder(folder: Path) -> None:
+    """Before the work: whether the folder is one, or can be made. Raises StorageError; leaves nothing."""
+    there = next(p for p in (folder, *folder.absolute().parents) if p.exists() or p.is_symlink())
+    if not there.is_dir():
+        what = "a file" if there.exists() else "a link that leads nowhere"
+        raise StorageError(f"{folder}: cannot be written, {there} is {what}; choose another --out.")
+    try:  # permissions do not tell of file systems that are read-only, or none
+        with tempfile.TemporaryDirectory(prefix=".part-", dir=there):
+            pass
+    except OSError as error:
+        raise StorageError(
+            f"{folder}: cannot be written, nothing can be made in {there} ({error.strerror}); choose another --out."
+        ) from None
+
+
+def check_file(path: Path) -> None:
+    """Before the work: whether a file can be put there, its folder made if absent. Raises StorageError; leaves nothing."""
+    if path.is_dir():
+        raise StorageError(_IN_THE_WAY.format(path))
+    check_folder(path.parent)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -92,6 +115,8 @@ def _storage(path: Path) -> Iterator[None]:
             raise StorageError(f"{path}: no permission to write here. Choose another folder.") from error
         if error.errno in (errno.ENOTDIR, errno.EEXIST):
             raise StorageError(f"{path}: a file is in the way ({error.filename}). Choose another folder.") from error
+        if error.errno == errno.EISDIR:
+            raise StorageError(_IN_THE_WAY.format(path)) from error
         raise
 
 

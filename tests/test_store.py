@@ -17,7 +17,7 @@ import pytest
 from lacli import store
 from lacli.errors import AnatomyError, StorageError
 from lacli.scene import Scene, dump_scene, load_scene
-from lacli.store import find_run, list_runs, open_run, replacing, run_key, write_json, write_text
+from lacli.store import check_file, check_folder, find_run, list_runs, open_run, replacing, run_key, write_json, write_text
 
 SceneOf = Callable[..., Scene]
 
@@ -227,6 +227,31 @@ def test_place_that_cannot_be_written(scene_of: SceneOf, tmp_path: Path) -> None
     (tmp_path / "file").write_text("")
     with pytest.raises(StorageError, match="in the way"), open_run(tmp_path / "file", scene_of()):
         pass
+
+
+def test_a_folder_in_a_files_place_is_one_message(tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(StorageError, match=r"folder: a folder of that name is in the way"):
+        write_text(tmp_path / "folder", "text")
+    assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+
+
+def test_a_place_is_looked_at_before_the_work(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "folder").mkdir()
+    for folder in (tmp_path / "file", tmp_path / "file" / "deeper"):
+        with pytest.raises(StorageError, match="is a file"):
+            check_folder(folder)
+    (tmp_path / "link").symlink_to("link")
+    with pytest.raises(StorageError, match="link is a link that leads nowhere"):
+        check_folder(tmp_path / "link" / "deeper")
+    check_folder(tmp_path / "new" / "deeper")
+    check_file(tmp_path / "new" / "table.csv")
+    with pytest.raises(StorageError, match="a folder of that name is in the way"):
+        check_file(tmp_path / "folder")
+    with pytest.raises(StorageError, match="is a file"):
+        check_file(tmp_path / "file" / "table.csv")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder", "link"]
 
 
 def test_atomic_text_keeps_the_old_one_on_error(tmp_path: Path) -> None:

@@ -40,12 +40,13 @@ def command(
 
     from lacli.inference.box import CALIBRATION_INPUTS, OUTPUTS, SENSITIVITY_INPUTS, published_box, read_box
     from lacli.inference.design import METHODS, design
-    from lacli.store import replacing
+    from lacli.store import check_file, replacing
 
     if method not in METHODS:
         raise UsageError(f"--method {method}: must be one of {', '.join(METHODS)}.")
     if run and scene is None:
         raise UsageError("--run needs a scene: lacli design SCENE --run.")
+    check_file(table)
     box = read_box(box_file) if box_file else published_box(names or (SENSITIVITY_INPUTS if all_inputs else CALIBRATION_INPUTS))
     accept, note = _feasibility(runs, box)
     x = design(box, count, method, seed, accept)

@@ -41,8 +41,9 @@ def command(
     from lacli.inference.matching import Region, Wave, match, next_runs, ruled_out_by
     from lacli.inference.nroy import EmptyRegionError
     from lacli.inference.targets import read_targets
-    from lacli.store import replacing
+    from lacli.store import check_folder, replacing
 
+    check_folder(folder)
     targets = read_targets(targets_file)
     emulators, table = fitted(inputs, outputs, names or list(targets.names), emulators_file, seed)
     targets = targets.select(emulators.outputs)

@@ -6,7 +6,6 @@ import os
 import shutil
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -77,6 +76,7 @@ def command(
     """
     from lacli.anatomy import meshfile
     from lacli.anatomy.build import Options
+    from lacli.store import check_folder
 
     _check(cell_size_mm, thickness_mm, ring_width_mm, order, layers, frame)
     rules = ("laplace-dirichlet", "uac")
@@ -120,20 +120,6 @@ def _check(cell: float, thickness: float, ring: float, order: int, layers: int |
         raise UsageError(f"--layers is {layers}; it must be 1 to 20.")
     if frame not in ("lps", "ras", "unknown"):
         raise UsageError(f"--frame is '{frame}'; it must be lps, ras or unknown.")
-
-
-def check_folder(folder: Path) -> None:
-    """Before the work: whether the folder is one, or can be made. Raises StorageError."""
-    there = next(p for p in (folder, *folder.absolute().parents) if p.exists())
-    if not there.is_dir():
-        raise StorageError(f"{folder}: cannot be written, {there} is a file; choose another --out.")
-    try:  # permissions do not tell of file systems that are read-only, or none
-        with tempfile.TemporaryDirectory(prefix=".part-", dir=there):
-            pass
-    except OSError as error:
-        raise StorageError(
-            f"{folder}: cannot be written, nothing can be made in {there} ({error.strerror}); choose another --out."
-        ) from None
 
 
 @contextmanager

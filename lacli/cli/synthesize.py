@@ -40,6 +40,8 @@ def command(
 
     Example: lacli synthesize cohort --cohort 10 --cell-size-mm 4
     """
+    from lacli.store import check_folder
+
     if cohort < 0 or seed < 0:
         raise UsageError("--seed and --cohort must not be negative.")
     if not 0.2 <= voxel_mm <= 3.0:
@@ -53,6 +55,7 @@ def command(
         "descent_mm": descent_mm,
     }
     places = [(seed + i, out / f"la{seed + i:02d}" if cohort else out) for i in range(max(cohort, 1))]
+    check_folder(out)
     rows = []
     with progress() as bar:
         task = bar.add_task("synthesizing", total=len(places))

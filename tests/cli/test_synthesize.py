@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from lacli.anatomy.bundle import load
 from lacli.anatomy.image import read
 from lacli.cli.main import build
-from lacli.errors import AnatomyError
+from lacli.errors import AnatomyError, StorageError
 from lacli.motion.annulus import load_motion
 
 
@@ -45,6 +45,14 @@ def test_a_folder_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
     with pytest.raises(AnatomyError, match="was not written by"):
         run(str(tmp_path))
     assert (tmp_path / "mine.txt").read_text() == "thesis"
+
+
+def test_an_output_that_cannot_be_made_is_refused_before_the_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lacli.anatomy.synthetic.synthesize", None)
+    (tmp_path / "file").write_text("x")
+    for arguments in ([str(tmp_path / "file" / "la")], [str(tmp_path / "file"), "--cohort", "2"]):
+        with pytest.raises(StorageError, match="is a file"):
+            run(*arguments)
 
 
 def test_images_come_with_it(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from lacli.cli.main import build
-from lacli.errors import LacliError, TableError, UsageError
+from lacli.errors import LacliError, StorageError, TableError, UsageError
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
@@ -144,6 +144,27 @@ def test_wrong_calls_give_one_clear_message(arguments, error, message, tmp_path,
     monkeypatch.chdir(tmp_path)
     with pytest.raises(error, match=message):
         call(*arguments)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "emulate --inputs x.csv --outputs y.csv",
+        "sensitivity --emulators e.npz",
+        "match --emulators e.npz --targets t.toml",
+        "posterior --emulators e.npz --targets t.toml",
+        "design -n 4",
+    ],
+)
+def test_an_output_that_cannot_be_made_is_refused_before_the_work(words, tables, tmp_path, monkeypatch):
+    monkeypatch.chdir(tables)
+    (tmp_path / "file").write_text("x")
+    # the tables of runs and the emulators are not even looked at
+    with pytest.raises(StorageError, match=r"file: cannot be written, .* is a file|file is a file"):
+        call(*words.split(), "--out", tmp_path / "file" / "deeper")
+    with pytest.raises(StorageError, match=r"is a file|a folder of that name"):
+        call(*words.split(), "--out", tmp_path if words.startswith(("emulate", "design")) else tmp_path / "file")
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
 
 def test_targets_outside_all_runs_are_told(emulated):
