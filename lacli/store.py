@@ -17,8 +17,11 @@ import logging
 import os
 import platform
 import shutil
+import struct
 import tempfile
 import time
+import zipfile
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -33,6 +36,11 @@ from lacli.resources import folder as resource_folder
 from lacli.scene import Scene, content_hash, dump_scene
 
 _logger = logging.getLogger(__name__)
+# what numpy raises on an .npz file that is cut short, overwritten in the middle, or no such file at all
+DAMAGED = (
+    OSError, EOFError, KeyError, IndexError, ValueError, TypeError, RuntimeError, MemoryError,
+    struct.error, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _IN_THE_WAY = "{}: a folder of that name is in the way. Choose another name."
 # failures of the machine, not of the scene: asked again, they run again
@@ -194,12 +202,12 @@ def _digest(states: tuple[tuple[Path, int, int], ...]) -> str:
 
 def _update_arrays(total: Any, file: Path) -> None:
     try:
-        with np.load(file, allow_pickle=False) as arrays:
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
             for name in sorted(arrays.files):
                 value = np.ascontiguousarray(arrays[name])
                 total.update(f"\0{name}\0{value.dtype.str}\0{value.shape}\0".encode())
                 total.update(value.tobytes())
-    except (ValueError, OSError, EOFError) as error:
+    except DAMAGED as error:
         raise AnatomyError(f"{file}: cannot be read ({error}). Write the bundle again.") from error
 
 

@@ -67,8 +67,11 @@ def test_motion_counts_by_its_arrays_and_is_never_unpickled(scene_of: SceneOf) -
     np.savez_compressed(motion, b=np.ones((2, 2)), a=np.arange(4.0))
     assert run_key(scene) == key
     np.savez(motion, a=np.array([{"an": "object"}], dtype=object))
-    with pytest.raises(AnatomyError, match=r"motion\.npz: cannot be read"):
-        run_key(scene)
+    whole = motion.read_bytes()
+    for damaged in (whole, whole[: len(whole) // 2], b""):
+        motion.write_bytes(damaged)
+        with pytest.raises(AnatomyError, match=r"motion\.npz: cannot be read"):
+            run_key(scene)
 
 
 def test_missing_bundle_is_named(scene_of: SceneOf) -> None:

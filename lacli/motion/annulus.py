@@ -5,7 +5,6 @@ Files: ``motion.npz`` in a bundle's folder with times (f,), wall_point (n,), pos
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from lacli.anatomy.bundle import RINGS, Bundle
 from lacli.errors import InputError
+from lacli.store import DAMAGED
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -102,7 +102,7 @@ def load_motion(folder: Path) -> Motion:
                 np.asarray(data["positions"], dtype=np.float64),
                 float(data["es_time"]),
             )
-    except (OSError, KeyError, ValueError, TypeError, zipfile.BadZipFile) as error:
+    except DAMAGED as error:
         raise InputError(f"{file}: cannot be read as a motion ({type(error).__name__}: {error}).") from error
     f, n = len(motion.times), len(motion.wall_point)
     if motion.positions.shape != (f, n, 3):
