@@ -100,14 +100,14 @@ def _feasibility(runs: Path | None, box):  # type: ignore[no-untyped-def]
     if runs is None:
         return None, ""
     from lacli.inference.feasibility import FEWEST_FAILURES, learn
-    from lacli.inference.table import OK_STATUS, STATUS, read_frame
+    from lacli.inference.table import OK_STATUS, STATUS, input_values, read_frame
 
     frame = read_frame(runs)
     missing = [name for name in (*box.names, STATUS) if name not in frame.columns]
     if missing:
         raise UsageError(f"{runs}: no column {', '.join(missing)}; it must hold the inputs and a status of each run.")
     ok = frame[STATUS].astype(str).str.lower().isin(OK_STATUS).to_numpy()
-    x = frame[list(box.names)].to_numpy(float)
+    x = input_values(frame[list(box.names)], str(runs))
     model = learn(box, x[ok], x[~ok])
     if model is None:
         if not ok.any():

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from lacli.cli.console import err, out, print_json, print_table
-from lacli.cli.tables import BoxFile, Emulators, Inputs, Json, Names, Outputs, Seed, box_of, fitted
+from lacli.cli.tables import BoxFile, Emulators, Inputs, Json, Names, Outputs, Seed, box_of, fitted, selected
 from lacli.errors import LacliError, UsageError
 
 
@@ -53,7 +53,7 @@ def command(
         before = load_emulators(path)
         if before.inputs != emulators.inputs:
             raise UsageError(f"{path}: its inputs are not those of this wave.")
-        before = before.select(targets.names)
+        before = selected(before, targets.names, path)
         waves.append(Wave(before, targets.widened(before.error_sd), earlier_threshold))
     wave = Wave(emulators, targets.widened(emulators.error_sd), threshold)
     region = Region(box, (*waves, wave))

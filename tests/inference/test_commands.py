@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from lacli.cli.main import build
-from lacli.errors import LacliError, StorageError, TableError, UsageError
+from lacli.errors import InputError, LacliError, StorageError, TableError, UsageError
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
@@ -144,6 +144,58 @@ def test_wrong_calls_give_one_clear_message(arguments, error, message, tmp_path,
     monkeypatch.chdir(tmp_path)
     with pytest.raises(error, match=message):
         call(*arguments)
+
+
+def test_a_damaged_emulator_file_is_told(emulated, tmp_path):
+    whole = (emulated[0] / "e.npz").read_bytes()
+    middle = len(whole) // 2
+    np.save(tmp_path / "array.npy", np.arange(3))
+    np.savez(tmp_path / "list.npz", format=np.arange(3))
+    for name, content in {
+        "empty.npz": b"",
+        "half.npz": whole[:middle],
+        "spoilt.npz": whole[:middle] + bytes(200) + whole[middle + 200 :],
+        "array.npz": (tmp_path / "array.npy").read_bytes(),
+        "list.npz": (tmp_path / "list.npz").read_bytes(),
+    }.items():
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(InputError, match=rf"{name}: not an emulator file, or a damaged one"):
+            call("sensitivity", "--emulators", tmp_path / name, "--out", tmp_path / "s")
+
+
+def test_emulators_of_an_earlier_wave_need_the_same_outputs(emulated, tmp_path):
+    folder, _ = emulated
+    tables = ("--inputs", folder / "x.csv", "--outputs", folder / "y.csv", "--output", "v_ml")
+    call("emulate", *tables, "--out", tmp_path / "v.npz", "--starts", 1, "--no-figures")
+    with pytest.raises(UsageError, match=r"v\.npz: no emulator of d_one_mm, d_two_mm; there are v_ml"):
+        call(
+            "match", "--emulators", folder / "e.npz", "--targets", folder / "t.toml", "--earlier", tmp_path / "v.npz",
+            "--out", tmp_path / "m",
+        )  # fmt: skip
+
+
+def test_a_box_where_an_input_has_no_logarithm_is_refused(emulated, tmp_path):
+    folder, _ = emulated
+    (tmp_path / "box.toml").write_text("[box]\na = [-1, 4]\nb = [0.2, 4]\nc = [0, 1]\n")
+    with pytest.raises(UsageError, match=r"box\.toml: a starts at -1; .* logarithm"):
+        call("sensitivity", "--emulators", folder / "e.npz", "--box", tmp_path / "box.toml", "--out", tmp_path / "s")
+
+
+@pytest.mark.parametrize(("value", "words"), [("", "a has no finite value in row 2"), ("oops", "row 2 holds 'oops'")])
+def test_earlier_runs_need_numbers(value, words, tmp_path):
+    rows = [f"0.{i},0.5,{'failed' if i < 4 else 'done'}" for i in range(1, 9)]
+    rows[1] = f"{value},0.5,failed"
+    (tmp_path / "runs.csv").write_text("\n".join(["a,b,status", *rows]))
+    (tmp_path / "box.toml").write_text("[box]\na = [0, 1]\nb = [0, 1]\n")
+    with pytest.raises(TableError, match=rf"runs\.csv: .*{words}"):
+        call("design", "-n", 4, "--runs", tmp_path / "runs.csv", "--box", tmp_path / "box.toml", "--out", tmp_path / "d.csv")
+
+
+def test_runs_are_not_added_to_a_table_of_something_else(tmp_path):
+    (tmp_path / "other.csv").write_text("price,sort\n1,2\n")
+    with pytest.raises(TableError, match=r"other\.csv: .* no column alpha_anterior.* another --out"):
+        call("design", "-n", 4, "--run", "scene.toml", "--out", tmp_path / "other.csv")
+    assert (tmp_path / "other.csv").read_text() == "price,sort\n1,2\n"
 
 
 @pytest.mark.parametrize(
