@@ -146,9 +146,11 @@ def storing(folder: Path) -> Iterator[None]:
 def _check_new(folder: Path, also: list[Path]) -> None:
     """Before the work: nothing else stands in the bundle's place, and the other files can be written."""
     from lacli.anatomy import meshfile
+    from lacli.anatomy.bundle import check_replaceable
 
     if folder.exists() and any(folder.iterdir()) and not (folder / "wall.vtu").is_file():
         raise UsageError(f"{folder}: the folder exists and holds something else than a bundle; choose another --out.")
+    check_replaceable(folder)
     for path in also:
         meshfile.check_ending(path)
         if not path.absolute().parent.is_dir() or not os.access(path.absolute().parent, os.W_OK | os.X_OK):

@@ -91,7 +91,7 @@ def _one(seed: int, folder: Path, wanted: dict[str, Any], voxel_mm: float | None
     """Write one atrium under a temporary name, then rename; return its row."""
     from dataclasses import replace
 
-    from lacli.anatomy.bundle import check, save
+    from lacli.anatomy.bundle import check, check_replaceable, save
     from lacli.anatomy.cells import volumes
     from lacli.anatomy.synthetic import synthesize
     from lacli.motion.annulus import save_motion
@@ -99,6 +99,7 @@ def _one(seed: int, folder: Path, wanted: dict[str, Any], voxel_mm: float | None
     made_from = {"seed": seed, **wanted, "voxel_mm": voxel_mm}
     info = _finished(folder, made_from)
     if info is None:
+        check_replaceable(folder)
         bundle, motion = synthesize(seed, **wanted)
         check(bundle, f"seed {seed}")
         info = {
