@@ -52,6 +52,8 @@ def descend(
     The axis runs from the cavity's centre to the annulus'. The time course rises as a half cosine to its peak at
     ``es_time`` and falls as one; the ring widens by ``circumference_change`` (a share) with it. 0 gives a rigid motion.
     """
+    if not 0.0 <= descent_mm < np.inf:
+        raise InputError(f"The annulus descends by a finite length (mm) that is not negative, got {descent_mm:g}.")
     if frames < 4:
         raise InputError(f"A motion needs at least 4 frames, got {frames}.")
     if not 0.0 < es_time < 1.0:
