@@ -283,7 +283,7 @@ def _show(report: dict[str, Any], folder: Path, drawn: list[str]) -> None:
         highlight=False,
     )
     for note in report["notes"]:
-        out.print(f"note: {note}", highlight=False, markup=False)
+        out.print(f"note: {note}", highlight=False)
     doubtful = [n for n, o in report["openings"].items() if o["confidence"] < 0.6]
     if doubtful:
         err.print(

@@ -5,8 +5,15 @@ from __future__ import annotations
 import sys
 
 import pytest
+from typer.testing import CliRunner
 
 from lacli.cli import main
+
+
+def test_marks_of_ours_do_not_show() -> None:
+    for words in (["doctor"], ["verify", "law"]):
+        text = CliRunner().invoke(main.build({words[0]}), words).stdout
+        assert "ok" in text and "[/]" not in text and "[bold" not in text
 
 
 @pytest.mark.parametrize("words", ["simulate {}", "emulate --inputs {} --outputs y.csv", "mesh {}.stl", "design -n 4 --out {}"])

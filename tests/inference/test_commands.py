@@ -146,6 +146,29 @@ def test_wrong_calls_give_one_clear_message(arguments, error, message, tmp_path,
         call(*arguments)
 
 
+def test_names_with_brackets_are_shown_as_they_are(tables, tmp_path):
+    """Units in brackets, which Rich would take for its own marks: "[kPa]" vanished, "[/s]" was an error."""
+    x, y = pd.read_csv(tables / "x.csv"), pd.read_csv(tables / "y.csv")
+    x.columns = ["E [kPa]", "rate [/s]", "c :mag:"]
+    x.to_csv(tmp_path / "x.csv", index=False)
+    y.columns = ["V [mL]", "d [/mm]", "still [/]"]
+    y.assign(**{"still [/]": 1.0}).to_csv(tmp_path / "y.csv", index=False)
+    folder = tmp_path / "[/out]"
+    text = call(
+        "emulate", "--inputs", tmp_path / "x.csv", "--outputs", tmp_path / "y.csv", "--out", folder / "e.npz", "--starts", 1
+    )
+    assert "V [mL]" in text and "d [/mm]" in text and "[/out]" in text
+    text = call("sensitivity", "--emulators", folder / "e.npz", "--out", folder / "s", "-n", 16, "--draws", 0)
+    assert all(name in text for name in x.columns)
+    text = call("design", "-n", 4, "--box", box_file(tmp_path, x.columns), "--out", folder / "d.csv")
+    assert all(name in text for name in x.columns)
+
+
+def box_file(folder, names):
+    (folder / "box.toml").write_text("[box]\n" + "".join(f'"{name}" = [0, 1]\n' for name in names))
+    return folder / "box.toml"
+
+
 def test_a_damaged_emulator_file_is_told(emulated, tmp_path):
     whole = (emulated[0] / "e.npz").read_bytes()
     middle = len(whole) // 2
