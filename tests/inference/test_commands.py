@@ -147,11 +147,11 @@ def test_wrong_calls_give_one_clear_message(arguments, error, message, tmp_path,
 
 
 def test_names_with_brackets_are_shown_as_they_are(tables, tmp_path):
-    """Units in brackets, which Rich would take for its own marks: "[kPa]" vanished, "[/s]" was an error."""
+    """Units in brackets, which Rich would take for its own marks; dollars, which matplotlib would take for formulas."""
     x, y = pd.read_csv(tables / "x.csv"), pd.read_csv(tables / "y.csv")
-    x.columns = ["E [kPa]", "rate [/s]", "c :mag:"]
+    x.columns = ["E [kPa]", "rate [/s]", "c :mag: $^$"]
     x.to_csv(tmp_path / "x.csv", index=False)
-    y.columns = ["V [mL]", "d [/mm]", "still [/]"]
+    y.columns = ["V [mL] $_$", "d [/mm] $", "still [/]"]
     y.assign(**{"still [/]": 1.0}).to_csv(tmp_path / "y.csv", index=False)
     folder = tmp_path / "[/out]"
     text = call(
