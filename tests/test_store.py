@@ -59,6 +59,18 @@ def test_key_changes_with_scene_bundle_motion_and_solver(
     assert len(set(keys)) == len(keys)
 
 
+def test_a_run_does_not_depend_on_the_emulators_kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("templates/deck.edp.j2", "solvers/freefem/laws.idp", "solvers/emulator/moments.cpp"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("one")
+    monkeypatch.setattr(store, "resource_folder", lambda name: tmp_path / name)
+    before = store.solver_digest.__wrapped__()
+    (tmp_path / "solvers/emulator/moments.cpp").write_text("another")
+    assert store.solver_digest.__wrapped__() == before
+    (tmp_path / "solvers/freefem/laws.idp").write_text("another")
+    assert store.solver_digest.__wrapped__() != before
+
+
 def test_motion_counts_by_its_arrays_and_is_never_unpickled(scene_of: SceneOf) -> None:
     scene = scene_of()
     motion = scene.anatomy.bundle / "motion.npz"
