@@ -47,14 +47,16 @@ class RunLog:
         self.rows: dict[tuple[float, ...], dict[str, object]] = {}
         if self.path.is_file():
             frame = read_frame(self.path)
-            missing = [name for name in (*self.inputs, STATUS) if name not in frame.columns]
+            missing = [name for name in self.inputs if name not in frame.columns]
             if missing:
                 raise TableError(
                     f"{self.path}: not a table of these runs, it has no column {', '.join(missing)}; choose another --out."
                 )
+            if not set(frame.columns) & {STATUS, *self.outputs}:
+                return  # the points of a design that was not run
             x = input_values(frame[list(self.inputs)], str(self.path))
             for values, row in zip(x.tolist(), frame.to_dict("records"), strict=True):
-                self.rows[tuple(values)] = {str(k): v for k, v in row.items()}
+                self.rows[tuple(values)] = {STATUS: "done"} | {str(k): v for k, v in row.items()}
 
     def run(self, simulator: Simulator, x: FloatArray, tick: Callable[[int, int], None] | None = None) -> None:
         """Make sure that every row of x (m, d) is in the log; tick(done, total) after each."""

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from lacli.cli.main import build
 from lacli.errors import InputError, LacliError, StorageError, TableError, UsageError
+from lacli.inference.runs import Outcome
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
@@ -212,6 +213,26 @@ def test_earlier_runs_need_numbers(value, words, tmp_path):
     (tmp_path / "box.toml").write_text("[box]\na = [0, 1]\nb = [0, 1]\n")
     with pytest.raises(TableError, match=rf"runs\.csv: .*{words}"):
         call("design", "-n", 4, "--runs", tmp_path / "runs.csv", "--box", tmp_path / "box.toml", "--out", tmp_path / "d.csv")
+
+
+def test_a_design_that_was_looked_at_first_is_run(tmp_path, monkeypatch):
+    """The points alone are written where the runs will be: they are no finished runs."""
+    asked = []
+
+    def simulator(*_):
+        def run(inputs):
+            asked.append(len(inputs))
+            yield from ((i, Outcome({"esv_ml": 90.0})) for i in range(len(inputs)))
+
+        return run
+
+    monkeypatch.setattr("lacli.cli.scenes.simulator", simulator)
+    call("design", "-n", 4, "--out", tmp_path / "d.csv")
+    for _ in range(2):  # the second time all are known
+        result = document("design", "scene.toml", "-n", 4, "--run", "--out", tmp_path / "d.csv")
+        assert asked == [4] and result["failed"] == 0
+        frame = pd.read_csv(tmp_path / "d.csv")
+        assert (frame["status"] == "done").all() and (frame["esv_ml"] == 90).all()
 
 
 def test_runs_are_not_added_to_a_table_of_something_else(tmp_path):
