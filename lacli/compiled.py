@@ -21,9 +21,12 @@ _logger = logging.getLogger(__name__)
 
 
 def cache_folder() -> Path:
-    """Where compiled libraries are kept: $XDG_CACHE_HOME/lacli or ~/.cache/lacli."""
+    """Where compiled libraries are kept: $XDG_CACHE_HOME/lacli or ~/.cache/lacli. OSError where there is no home."""
     root = os.environ.get("XDG_CACHE_HOME")
-    return (Path(root) if root else Path.home() / ".cache") / "lacli"
+    try:
+        return (Path(root) if root else Path.home() / ".cache") / "lacli"
+    except RuntimeError as error:
+        raise OSError(f"no folder to keep it in ({error}); set XDG_CACHE_HOME") from error
 
 
 def processor() -> str:
@@ -49,7 +52,11 @@ def kept(cache: Path, parts: tuple[str, ...], name: str, build: Callable[[Path],
     if not target.is_file():
         target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".build-", dir=cache) as folder:
-            build(Path(folder)).replace(target)
+            built = build(Path(folder))
+            # on the disk before it has its name: a library cut short by a power failure would end every process that loads it
+            with built.open("rb") as stream:
+                os.fsync(stream.fileno())
+            built.replace(target)
     return target
 
 
@@ -74,7 +81,12 @@ def library(source: Path) -> ctypes.CDLL | None:
     try:
         text = source.read_text(encoding="utf-8")
         parts = (text, compiler, compiler_version(compiler), processor(), *_FLAGS, *_LIBRARIES)
-        return ctypes.CDLL(str(kept(cache_folder(), parts, f"{source.stem}.so", build)))
+        file = kept(cache_folder(), parts, f"{source.stem}.so", build)
+        try:
+            return ctypes.CDLL(str(file))
+        except OSError:  # damaged, or made beside a newer C library: a home may be shared
+            file.unlink(missing_ok=True)
+            return ctypes.CDLL(str(kept(cache_folder(), parts, f"{source.stem}.so", build)))
     except (OSError, subprocess.SubprocessError) as error:
         _logger.info("%s is not compiled: %s", source.name, getattr(error, "stderr", None) or error)
         return None

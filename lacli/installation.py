@@ -133,7 +133,7 @@ def _compiler(freefem: FreeFem) -> Check:
         text, _, fix = obstacle.partition(": ")
         return Check(name, False, f"{text}; {_WITHOUT}", needed=False, fix=fix)
     try:
-        for source in sorted(resource_folder("solvers").rglob("*.cpp")):
+        for source in sorted((resource_folder("solvers") / "freefem").rglob("*.cpp")):
             ff.compile_plugin(freefem, source, flags=PLUGIN_FLAGS)
     except SolverMissingError as error:
         return Check(name, False, f"{error}; {_WITHOUT}", needed=False, fix=ff.INSTALL)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import itertools
 import json
@@ -218,14 +219,17 @@ def load_scene(file: Path, overrides: list[str] | None = None) -> Scene:
 
 def build_scene(document: Mapping[str, Any], overrides: list[str], *, folder: Path, where: str) -> Scene:
     """Validate a scene given as nested dictionaries; see ``load_scene``."""
-    merged = json.loads(json.dumps(dict(document)))
+    merged = copy.deepcopy(dict(document))
     for text in overrides:
         _override(merged, text)
     try:
         scene = Scene.model_validate(merged)
     except ValidationError as error:
         raise SceneError(_explain(error, where)) from error
-    bundle = (folder / scene.anatomy.bundle).resolve()
+    try:
+        bundle = (folder / scene.anatomy.bundle).resolve()
+    except (OSError, RuntimeError, ValueError) as error:  # links in a circle, characters no path has
+        raise SceneError(f"{where}: anatomy.bundle: no path ({error}; given: {str(scene.anatomy.bundle)!r}).") from error
     return scene.model_copy(update={"anatomy": Anatomy(bundle=bundle)})
 
 

@@ -17,8 +17,11 @@ import logging
 import os
 import platform
 import shutil
+import struct
 import tempfile
 import time
+import zipfile
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -33,7 +36,13 @@ from lacli.resources import folder as resource_folder
 from lacli.scene import Scene, content_hash, dump_scene
 
 _logger = logging.getLogger(__name__)
+# what numpy raises on an .npz file that is cut short, overwritten in the middle, or no such file at all
+DAMAGED = (
+    OSError, EOFError, KeyError, IndexError, ValueError, TypeError, RuntimeError, MemoryError,
+    struct.error, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
 _FULL = (errno.ENOSPC, errno.EDQUOT)
+_IN_THE_WAY = "{}: a folder of that name is in the way. Choose another name."
 # failures of the machine, not of the scene: asked again, they run again
 TRANSIENT_KINDS = frozenset({"killed", "disk_full", "out_of_memory"})
 
@@ -60,6 +69,28 @@ def replacing(path: Path) -> Iterator[Path]:
             temporary.replace(path)
         finally:
             temporary.unlink(missing_ok=True)
+
+
+def check_folder(folder: Path) -> None:
+    """Before the work: whether the folder is one, or can be made. Raises StorageError; leaves nothing."""
+    there = next(p for p in (folder, *folder.absolute().parents) if p.exists() or p.is_symlink())
+    if not there.is_dir():
+        what = "a file" if there.exists() else "a link that leads nowhere"
+        raise StorageError(f"{folder}: cannot be written, {there} is {what}; choose another --out.")
+    try:  # permissions do not tell of file systems that are read-only, or none
+        with tempfile.TemporaryDirectory(prefix=".part-", dir=there):
+            pass
+    except OSError as error:
+        raise StorageError(
+            f"{folder}: cannot be written, nothing can be made in {there} ({error.strerror}); choose another --out."
+        ) from None
+
+
+def check_file(path: Path) -> None:
+    """Before the work: whether a file can be put there, its folder made if absent. Raises StorageError; leaves nothing."""
+    if path.is_dir():
+        raise StorageError(_IN_THE_WAY.format(path))
+    check_folder(path.parent)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -92,6 +123,8 @@ def _storage(path: Path) -> Iterator[None]:
             raise StorageError(f"{path}: no permission to write here. Choose another folder.") from error
         if error.errno in (errno.ENOTDIR, errno.EEXIST):
             raise StorageError(f"{path}: a file is in the way ({error.filename}). Choose another folder.") from error
+        if error.errno == errno.EISDIR:
+            raise StorageError(_IN_THE_WAY.format(path)) from error
         raise
 
 
@@ -169,24 +202,26 @@ def _digest(states: tuple[tuple[Path, int, int], ...]) -> str:
 
 def _update_arrays(total: Any, file: Path) -> None:
     try:
-        with np.load(file, allow_pickle=False) as arrays:
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
             for name in sorted(arrays.files):
                 value = np.ascontiguousarray(arrays[name])
                 total.update(f"\0{name}\0{value.dtype.str}\0{value.shape}\0".encode())
                 total.update(value.tobytes())
-    except (ValueError, OSError, EOFError) as error:
+    except DAMAGED as error:
         raise AnatomyError(f"{file}: cannot be read ({error}). Write the bundle again.") from error
 
 
 @functools.lru_cache(maxsize=1)
 def solver_digest() -> str:
-    """Digest of every file of ``templates/`` and ``solvers/``."""
+    """Digest of every file of ``templates/`` and ``solvers/`` but the emulators' kernel, which takes no part in a run."""
     total = hashlib.sha256()
     for name in ("templates", "solvers"):
         root = resource_folder(name)
         for file in sorted(
             path for path in root.rglob("*") if path.is_file() and path.suffix in (".j2", ".edp", ".idp", ".cpp", ".hpp")
         ):
+            if file.is_relative_to(root / "emulator"):
+                continue
             total.update(f"\0{name}/{file.relative_to(root)}\0".encode())
             total.update(file.read_bytes())
     return total.hexdigest()

@@ -157,6 +157,14 @@ def test_file_problems_are_named(tmp_path: Path) -> None:
         load_scene(tmp_path / "bad.toml")
 
 
+def test_dates_and_paths_that_are_none_are_named(tmp_path: Path) -> None:
+    (tmp_path / "date.toml").write_text('[anatomy]\nbundle = "la"\n[materials]\nbf = 1979-05-27\n')
+    with pytest.raises(SceneError, match=r"materials\.bf: .*number"):
+        load_scene(tmp_path / "date.toml")
+    with pytest.raises(SceneError, match=r"scene\.toml: anatomy\.bundle: no path .*null"):
+        build_scene({"anatomy": {"bundle": "la\0"}}, [], folder=tmp_path, where="scene.toml")
+
+
 def test_bundle_is_relative_to_the_scene_file(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text('[anatomy]\nbundle = "../la"\n')
     assert load_scene(tmp_path / "scene.toml").anatomy.bundle == tmp_path.parent / "la"

@@ -17,7 +17,7 @@ import pytest
 from lacli import store
 from lacli.errors import AnatomyError, StorageError
 from lacli.scene import Scene, dump_scene, load_scene
-from lacli.store import find_run, list_runs, open_run, replacing, run_key, write_json, write_text
+from lacli.store import check_file, check_folder, find_run, list_runs, open_run, replacing, run_key, write_json, write_text
 
 SceneOf = Callable[..., Scene]
 
@@ -59,6 +59,18 @@ def test_key_changes_with_scene_bundle_motion_and_solver(
     assert len(set(keys)) == len(keys)
 
 
+def test_a_run_does_not_depend_on_the_emulators_kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("templates/deck.edp.j2", "solvers/freefem/laws.idp", "solvers/emulator/moments.cpp"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("one")
+    monkeypatch.setattr(store, "resource_folder", lambda name: tmp_path / name)
+    before = store.solver_digest.__wrapped__()
+    (tmp_path / "solvers/emulator/moments.cpp").write_text("another")
+    assert store.solver_digest.__wrapped__() == before
+    (tmp_path / "solvers/freefem/laws.idp").write_text("another")
+    assert store.solver_digest.__wrapped__() != before
+
+
 def test_motion_counts_by_its_arrays_and_is_never_unpickled(scene_of: SceneOf) -> None:
     scene = scene_of()
     motion = scene.anatomy.bundle / "motion.npz"
@@ -67,8 +79,11 @@ def test_motion_counts_by_its_arrays_and_is_never_unpickled(scene_of: SceneOf) -
     np.savez_compressed(motion, b=np.ones((2, 2)), a=np.arange(4.0))
     assert run_key(scene) == key
     np.savez(motion, a=np.array([{"an": "object"}], dtype=object))
-    with pytest.raises(AnatomyError, match=r"motion\.npz: cannot be read"):
-        run_key(scene)
+    whole = motion.read_bytes()
+    for damaged in (whole, whole[: len(whole) // 2], b""):
+        motion.write_bytes(damaged)
+        with pytest.raises(AnatomyError, match=r"motion\.npz: cannot be read"):
+            run_key(scene)
 
 
 def test_missing_bundle_is_named(scene_of: SceneOf) -> None:
@@ -227,6 +242,31 @@ def test_place_that_cannot_be_written(scene_of: SceneOf, tmp_path: Path) -> None
     (tmp_path / "file").write_text("")
     with pytest.raises(StorageError, match="in the way"), open_run(tmp_path / "file", scene_of()):
         pass
+
+
+def test_a_folder_in_a_files_place_is_one_message(tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(StorageError, match=r"folder: a folder of that name is in the way"):
+        write_text(tmp_path / "folder", "text")
+    assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+
+
+def test_a_place_is_looked_at_before_the_work(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "folder").mkdir()
+    for folder in (tmp_path / "file", tmp_path / "file" / "deeper"):
+        with pytest.raises(StorageError, match="is a file"):
+            check_folder(folder)
+    (tmp_path / "link").symlink_to("link")
+    with pytest.raises(StorageError, match="link is a link that leads nowhere"):
+        check_folder(tmp_path / "link" / "deeper")
+    check_folder(tmp_path / "new" / "deeper")
+    check_file(tmp_path / "new" / "table.csv")
+    with pytest.raises(StorageError, match="a folder of that name is in the way"):
+        check_file(tmp_path / "folder")
+    with pytest.raises(StorageError, match="is a file"):
+        check_file(tmp_path / "file" / "table.csv")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder", "link"]
 
 
 def test_atomic_text_keeps_the_old_one_on_error(tmp_path: Path) -> None:

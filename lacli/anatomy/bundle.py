@@ -24,6 +24,14 @@ ENDO, EPI, OTHER = 1, 2, 3
 # VTK's quadratic tetrahedron: corners 0-3, then the middles of these edges
 TET10_EDGES: tuple[tuple[int, int], ...] = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
 
+# what we put into a bundle's folder: all of it is made again with the bundle, or of no use to a new one
+_OURS = frozenset(
+    [
+        *("wall.vtu", "boundary.vtp", "anatomy.json", "motion.npz", "accuracy.json", "landmarks.toml", "labels.nrrd", "ct.nrrd"),
+        *("quality.json", "quality.txt", "uac.png", "regions.png", "fibres.png", "thickness.png", "cuts.png"),
+    ]
+)
+
 
 @dataclass(frozen=True)
 class Bundle:
@@ -62,6 +70,19 @@ class Bundle:
         a, b, c = (self.points[self.cavity_triangles()[:, i]] for i in range(3))
         # normals point out of the wall's material, so into the cavity: the sign turns
         return float(-np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0 / 1000.0)
+
+
+def check_replaceable(folder: Path) -> None:
+    """Before a new bundle takes the folder's place: AnatomyError where files of somebody else would go with the old one."""
+    others = (
+        sorted(p.name for p in folder.iterdir() if not (p.name in _OURS or p.name.startswith(".part-")))
+        if folder.is_dir()
+        else []
+    )
+    if others:
+        raise AnatomyError(
+            f"{folder}: also holds {', '.join(others)}, and would be replaced whole; move that away, or choose another folder."
+        )
 
 
 def save(bundle: Bundle, folder: Path) -> None:

@@ -12,18 +12,16 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
-out = Console()
-err = Console(stderr=True)
+# what is shown holds names of the user's, columns and paths: brackets and colons in them are no marks of ours
+out = Console(markup=False, emoji=False)
+err = Console(stderr=True, markup=False, emoji=False)
 
 
 def fail(error: Exception) -> None:
     """Print an expected error to standard error, one clear message."""
-    err.print(f"[bold red]lacli:[/] {_escape(str(error))}", highlight=False, soft_wrap=True)
-
-
-def _escape(text: str) -> str:
-    return text.replace("[", r"\[")
+    err.print(Text.assemble(("lacli:", "bold red"), f" {error}"), soft_wrap=True)
 
 
 def _plain(value: Any) -> Any:
@@ -60,7 +58,7 @@ def print_table(title: str, columns: list[str], rows: list[list[Any]]) -> None:
 def progress() -> Iterator[Progress]:
     """A progress display on standard error with elapsed time and time left."""
     with Progress(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.completed:.0f}/{task.total:.0f}"),
         TimeElapsedColumn(),

@@ -40,12 +40,13 @@ def command(
 
     from lacli.inference.box import CALIBRATION_INPUTS, OUTPUTS, SENSITIVITY_INPUTS, published_box, read_box
     from lacli.inference.design import METHODS, design
-    from lacli.store import replacing
+    from lacli.store import check_file, replacing
 
     if method not in METHODS:
         raise UsageError(f"--method {method}: must be one of {', '.join(METHODS)}.")
     if run and scene is None:
         raise UsageError("--run needs a scene: lacli design SCENE --run.")
+    check_file(table)
     box = read_box(box_file) if box_file else published_box(names or (SENSITIVITY_INPUTS if all_inputs else CALIBRATION_INPUTS))
     accept, note = _feasibility(runs, box)
     x = design(box, count, method, seed, accept)
@@ -99,14 +100,14 @@ def _feasibility(runs: Path | None, box):  # type: ignore[no-untyped-def]
     if runs is None:
         return None, ""
     from lacli.inference.feasibility import FEWEST_FAILURES, learn
-    from lacli.inference.table import OK_STATUS, STATUS, read_frame
+    from lacli.inference.table import OK_STATUS, STATUS, input_values, read_frame
 
     frame = read_frame(runs)
     missing = [name for name in (*box.names, STATUS) if name not in frame.columns]
     if missing:
         raise UsageError(f"{runs}: no column {', '.join(missing)}; it must hold the inputs and a status of each run.")
     ok = frame[STATUS].astype(str).str.lower().isin(OK_STATUS).to_numpy()
-    x = frame[list(box.names)].to_numpy(float)
+    x = input_values(frame[list(box.names)], str(runs))
     model = learn(box, x[ok], x[~ok])
     if model is None:
         if not ok.any():

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 from rich.table import Table
+from rich.text import Text
 
 from lacli.cli.console import err, out, print_json
 from lacli.installation import Check, inspect
@@ -37,9 +38,9 @@ def _show(checks: list[Check], ok: bool) -> None:
     table.add_column("state", no_wrap=True)
     table.add_column("found", overflow="fold")
     for check in checks:
-        table.add_row(check.name, f"[{_COLOUR[check.state]}]{check.state}[/]", check.found)
+        table.add_row(check.name, Text(check.state, _COLOUR[check.state]), check.found)
     out.print(table)
     for check in checks:
         if check.fix:
-            out.print(f"{check.name}: [bold]{check.fix}[/]", highlight=False, soft_wrap=True)
+            out.print(Text.assemble(f"{check.name}: ", (check.fix, "bold")), soft_wrap=True)
     out.print("Ready to simulate." if ok else "Something that simulations need is missing; see above.")

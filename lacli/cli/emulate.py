@@ -30,7 +30,9 @@ def command(
     from lacli.inference.emulator_set import EmulatorSet, save_emulators
     from lacli.inference.threads import one_thread
     from lacli.inference.validation import cross_validate
+    from lacli.store import check_file
 
+    check_file(file)
     table = read(inputs, outputs, names)
     with progress() as bar, one_thread():
         task = bar.add_task("cross-validation", total=len(table.outputs) * folds)

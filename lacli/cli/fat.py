@@ -36,7 +36,8 @@ def command(
     """
     from lacli.anatomy import fat, image
     from lacli.anatomy.bundle import load
-    from lacli.cli.mesh import check_folder, naming, storing
+    from lacli.cli.mesh import naming, storing
+    from lacli.store import check_folder
 
     if bundle is None and labels is None:
         raise UsageError(

@@ -97,4 +97,8 @@ def run() -> None:
         if error.errno == 28:
             sys.stderr.write(f"lacli: the disk is full ({error.filename or 'unknown file'}). Free some space and run again.\n")
             sys.exit(1)
-        raise
+        if error.filename is None or error.strerror is None:
+            raise
+        # a path the system refuses is no bug: no permission, links in a circle, a name too long, a disk that fails
+        fail(LacliError(f"{error.filename}: {error.strerror}. Check that this path exists and may be read and written."))
+        sys.exit(1)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from lacli.cli.console import err, out, print_json, print_table
-from lacli.cli.tables import BoxFile, Emulators, Inputs, Json, Names, Outputs, Seed, box_of, fitted
+from lacli.cli.tables import BoxFile, Emulators, Inputs, Json, Names, Outputs, Seed, box_of, fitted, selected
 from lacli.errors import LacliError, UsageError
 
 
@@ -41,8 +41,9 @@ def command(
     from lacli.inference.matching import Region, Wave, match, next_runs, ruled_out_by
     from lacli.inference.nroy import EmptyRegionError
     from lacli.inference.targets import read_targets
-    from lacli.store import replacing
+    from lacli.store import check_folder, replacing
 
+    check_folder(folder)
     targets = read_targets(targets_file)
     emulators, table = fitted(inputs, outputs, names or list(targets.names), emulators_file, seed)
     targets = targets.select(emulators.outputs)
@@ -52,7 +53,7 @@ def command(
         before = load_emulators(path)
         if before.inputs != emulators.inputs:
             raise UsageError(f"{path}: its inputs are not those of this wave.")
-        before = before.select(targets.names)
+        before = selected(before, targets.names, path)
         waves.append(Wave(before, targets.widened(before.error_sd), earlier_threshold))
     wave = Wave(emulators, targets.widened(emulators.error_sd), threshold)
     region = Region(box, (*waves, wave))

@@ -6,7 +6,6 @@ import os
 import shutil
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -77,6 +76,7 @@ def command(
     """
     from lacli.anatomy import meshfile
     from lacli.anatomy.build import Options
+    from lacli.store import check_folder
 
     _check(cell_size_mm, thickness_mm, ring_width_mm, order, layers, frame)
     rules = ("laplace-dirichlet", "uac")
@@ -122,20 +122,6 @@ def _check(cell: float, thickness: float, ring: float, order: int, layers: int |
         raise UsageError(f"--frame is '{frame}'; it must be lps, ras or unknown.")
 
 
-def check_folder(folder: Path) -> None:
-    """Before the work: whether the folder is one, or can be made. Raises StorageError."""
-    there = next(p for p in (folder, *folder.absolute().parents) if p.exists())
-    if not there.is_dir():
-        raise StorageError(f"{folder}: cannot be written, {there} is a file; choose another --out.")
-    try:  # permissions do not tell of file systems that are read-only, or none
-        with tempfile.TemporaryDirectory(prefix=".part-", dir=there):
-            pass
-    except OSError as error:
-        raise StorageError(
-            f"{folder}: cannot be written, nothing can be made in {there} ({error.strerror}); choose another --out."
-        ) from None
-
-
 @contextmanager
 def naming(source: Path) -> Iterator[None]:
     """What is wrong with the anatomy, with the name of the file it is in."""
@@ -160,9 +146,11 @@ def storing(folder: Path) -> Iterator[None]:
 def _check_new(folder: Path, also: list[Path]) -> None:
     """Before the work: nothing else stands in the bundle's place, and the other files can be written."""
     from lacli.anatomy import meshfile
+    from lacli.anatomy.bundle import check_replaceable
 
     if folder.exists() and any(folder.iterdir()) and not (folder / "wall.vtu").is_file():
         raise UsageError(f"{folder}: the folder exists and holds something else than a bundle; choose another --out.")
+    check_replaceable(folder)
     for path in also:
         meshfile.check_ending(path)
         if not path.absolute().parent.is_dir() or not os.access(path.absolute().parent, os.W_OK | os.X_OK):
@@ -295,7 +283,7 @@ def _show(report: dict[str, Any], folder: Path, drawn: list[str]) -> None:
         highlight=False,
     )
     for note in report["notes"]:
-        out.print(f"note: {note}", highlight=False, markup=False)
+        out.print(f"note: {note}", highlight=False)
     doubtful = [n for n, o in report["openings"].items() if o["confidence"] < 0.6]
     if doubtful:
         err.print(

@@ -41,10 +41,11 @@ def command(
     from lacli.inference.likelihood import Density
     from lacli.inference.matching import Region, Wave
     from lacli.inference.targets import read_targets
-    from lacli.store import replacing, write_json
+    from lacli.store import check_folder, replacing, write_json
 
     if prior not in ("nroy", "box"):
         raise UsageError(f"--prior {prior}: must be nroy or box.")
+    check_folder(folder)
     targets = read_targets(targets_file)
     emulators, table = fitted(inputs, outputs, names or list(targets.names), emulators_file, seed)
     targets = targets.select(emulators.outputs).widened(emulators.error_sd)

@@ -32,10 +32,11 @@ def command(
     import pandas as pd
 
     from lacli.inference.sensitivity import emulator_indices
-    from lacli.store import replacing
+    from lacli.store import check_folder, replacing
 
     if count < 2 or count & (count - 1):
         raise UsageError(f"-n {count}: must be a power of two (a Sobol' sequence is balanced only there).")
+    check_folder(folder)
     emulators, table = fitted(inputs, outputs, names, emulators_file, seed)
     box = box_of(emulators, box_file, table)
     with err.status("Sobol' indices"):

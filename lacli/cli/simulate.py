@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 from rich.table import Table
+from rich.text import Text
 
 from lacli.cli.console import err, fail, out, print_json, print_table
 from lacli.errors import SimulationError
@@ -148,7 +149,7 @@ def _show_plan(scene: Scene, root: Path, as_json: bool) -> None:
     table.add_column("modelled", no_wrap=True)
     table.add_column("why")
     for term, included, why in sorted(terms, key=lambda item: not item[1]):
-        table.add_row(term, "[green]yes[/]" if included else "no", why)
+        table.add_row(term, Text("yes", "green") if included else "no", why)
     out.print(table)
     out.print(f"Expected cost: {_price(price)}.", highlight=False, soft_wrap=True)
     if known:

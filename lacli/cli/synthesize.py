@@ -40,6 +40,8 @@ def command(
 
     Example: lacli synthesize cohort --cohort 10 --cell-size-mm 4
     """
+    from lacli.store import check_folder
+
     if cohort < 0 or seed < 0:
         raise UsageError("--seed and --cohort must not be negative.")
     if not 0.2 <= voxel_mm <= 3.0:
@@ -53,6 +55,7 @@ def command(
         "descent_mm": descent_mm,
     }
     places = [(seed + i, out / f"la{seed + i:02d}" if cohort else out) for i in range(max(cohort, 1))]
+    check_folder(out)
     rows = []
     with progress() as bar:
         task = bar.add_task("synthesizing", total=len(places))
@@ -88,7 +91,7 @@ def _one(seed: int, folder: Path, wanted: dict[str, Any], voxel_mm: float | None
     """Write one atrium under a temporary name, then rename; return its row."""
     from dataclasses import replace
 
-    from lacli.anatomy.bundle import check, save
+    from lacli.anatomy.bundle import check, check_replaceable, save
     from lacli.anatomy.cells import volumes
     from lacli.anatomy.synthetic import synthesize
     from lacli.motion.annulus import save_motion
@@ -96,6 +99,7 @@ def _one(seed: int, folder: Path, wanted: dict[str, Any], voxel_mm: float | None
     made_from = {"seed": seed, **wanted, "voxel_mm": voxel_mm}
     info = _finished(folder, made_from)
     if info is None:
+        check_replaceable(folder)
         bundle, motion = synthesize(seed, **wanted)
         check(bundle, f"seed {seed}")
         info = {

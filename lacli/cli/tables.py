@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -47,12 +48,7 @@ def fitted(
 
     if emulators is not None:
         loaded = load_emulators(emulators)
-        if names:
-            missing = [name for name in names if name not in loaded.outputs]
-            if missing:
-                raise UsageError(f"{emulators}: no emulator of {', '.join(missing)}; there are {', '.join(loaded.outputs)}.")
-            loaded = loaded.select(names)
-        return loaded, None
+        return (selected(loaded, names, emulators) if names else loaded), None
     table = read(inputs, outputs, names)
     with progress() as bar:
         task = bar.add_task("emulators", total=len(table.outputs))
@@ -60,8 +56,19 @@ def fitted(
     return EmulatorSet(table.inputs, tuple(result)), table
 
 
+def selected(emulators: EmulatorSet, names: Sequence[str], file: Path) -> EmulatorSet:
+    """The emulators of the named outputs, in that order. Raises UsageError where ``file`` has none of one."""
+    missing = [name for name in names if name not in emulators.outputs]
+    if missing:
+        raise UsageError(f"{file}: no emulator of {', '.join(missing)}; there are {', '.join(emulators.outputs)}.")
+    return emulators.select(names)
+
+
 def box_of(emulators: EmulatorSet, file: Path | None, table: RunTable | None = None) -> Box:
-    """The box of the inputs: the file's, else published ranges of known inputs and the runs' ranges of others."""
+    """The box of the inputs: the file's, else published ranges of known inputs and the runs' ranges of others.
+
+    Raises UsageError where the file's inputs are not the emulators', or reach where an emulator is not defined.
+    """
     import numpy as np
 
     from lacli.inference.box import read_box, table_box
@@ -73,6 +80,11 @@ def box_of(emulators: EmulatorSet, file: Path | None, table: RunTable | None = N
     missing = [name for name in emulators.inputs if name not in box.names]
     if missing or len(box.names) != len(emulators.inputs):
         raise UsageError(f"{file}: must hold exactly the inputs {', '.join(emulators.inputs)}.")
+    logged = np.any([e.log_inputs for e in emulators.emulators], axis=0)
+    for name, takes_log in zip(emulators.inputs, logged, strict=True):
+        start = box.lower[box.names.index(name)]
+        if takes_log and start <= 0:
+            raise UsageError(f"{file}: {name} starts at {start:g}; an emulator takes its logarithm: it must be positive.")
     order = [box.names.index(name) for name in emulators.inputs]
     from lacli.inference.box import make_box
 

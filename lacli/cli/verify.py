@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 from rich.table import Table
+from rich.text import Text
 
 from lacli.cli.console import out, print_json, progress
 from lacli.mechanics.verification import Check, choose, verify
@@ -53,10 +54,10 @@ def _show(checks: list[Check]) -> None:
     for check in checks:
         if check.name != before:
             unknowns = f" ({check.unknowns} unknowns)" if check.unknowns else ""
-            table.add_row(f"[bold]{check.name}[/]{unknowns}")
+            table.add_row(Text.assemble((check.name, "bold"), unknowns))
             before = check.name
         numbers = f"{check.computed:.6g}", f"{check.reference:.6g}", f"{check.error:.1e}", f"{check.tolerance:.0e}"
-        verdict = "[green]ok[/]" if check.passed else "[bold red]FAIL[/]"
+        verdict = Text("ok", "green") if check.passed else Text("FAIL", "bold red")
         table.add_row(f"  {check.quantity}", *numbers, verdict, f"{check.cpu_s:.1f}")
     out.print(table)
     failed = sum(not check.passed for check in checks)

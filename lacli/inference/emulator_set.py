@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ from lacli.inference import gp, moments
 from lacli.inference.emulator import Emulator
 from lacli.inference.scales import OutputScale
 from lacli.inference.threads import one_thread
-from lacli.store import replacing
+from lacli.store import DAMAGED, replacing
 
 FloatArray = NDArray[np.float64]
 
@@ -259,5 +258,5 @@ def load_emulators(path: Path) -> EmulatorSet:
                     )
                 )  # fmt: skip
             return EmulatorSet(tuple(str(name) for name in a["inputs"]), tuple(emulators))
-    except (KeyError, ValueError, OSError, zipfile.BadZipFile, np.linalg.LinAlgError) as error:
+    except (*DAMAGED, np.linalg.LinAlgError) as error:
         raise InputError(f"{path}: not an emulator file, or a damaged one ({error}). Run `lacli emulate` again.") from error

@@ -33,6 +33,10 @@ class Processes:
     weights: FloatArray
     roots: FloatArray
 
+    def __reduce__(self) -> tuple[type[Processes], tuple[FloatArray, ...]]:
+        # a copy, or what another process gets, stands on arrays of its own: no address goes with them
+        return Processes, (self.exponent, self.weights, self.roots)
+
     @property
     def runs(self) -> int:
         """n, padded."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-import zipfile
 from collections.abc import Callable
 from dataclasses import astuple, dataclass, replace
 from pathlib import Path
@@ -21,7 +20,7 @@ from lacli.inference.mixture import fit_mixture
 from lacli.inference.moves import EnsemblesMove
 from lacli.inference.surrogate import fit_surrogate
 from lacli.inference.threads import single_threaded
-from lacli.store import replacing
+from lacli.store import DAMAGED, replacing
 
 FloatArray = NDArray[np.float64]
 
@@ -322,5 +321,5 @@ def load_chain(path: Path) -> Chain:
                 tuple(str(n) for n in a["names"]), a["samples"], a["log_prob"], float(a["acceptance"]), a["rhat"], a["ess"],
                 bool(a["flags"][0]), state, a["tuning_points"], bool(a["flags"][1]), str(a["key"]),
             )  # fmt: skip
-    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except DAMAGED as error:
         raise InputError(f"{path}: not a chain, or a damaged one ({error}). Remove it to sample anew.") from error

@@ -11,7 +11,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from lacli.inference.table import ERROR_SUFFIX, STATUS, RunTable, combine, read_frame
+from lacli.errors import TableError
+from lacli.inference.table import ERROR_SUFFIX, STATUS, RunTable, combine, input_values, read_frame
 from lacli.store import replacing
 
 FloatArray = NDArray[np.float64]
@@ -38,7 +39,7 @@ class Simulator(Protocol):
 class RunLog:
     """A table of runs in a CSV file: inputs, outputs, status. Written whole after each run, so that it is always valid.
 
-    A row is found again by its exact input values.
+    A row is found again by its exact input values. Raises TableError for a file that holds something else.
     """
 
     def __init__(self, path: Path, inputs: Sequence[str], outputs: Sequence[str]) -> None:
@@ -46,8 +47,16 @@ class RunLog:
         self.rows: dict[tuple[float, ...], dict[str, object]] = {}
         if self.path.is_file():
             frame = read_frame(self.path)
-            for row in frame.to_dict("records"):
-                self.rows[tuple(float(row[name]) for name in self.inputs)] = {str(k): v for k, v in row.items()}
+            missing = [name for name in self.inputs if name not in frame.columns]
+            if missing:
+                raise TableError(
+                    f"{self.path}: not a table of these runs, it has no column {', '.join(missing)}; choose another --out."
+                )
+            if not set(frame.columns) & {STATUS, *self.outputs}:
+                return  # the points of a design that was not run
+            x = input_values(frame[list(self.inputs)], str(self.path))
+            for values, row in zip(x.tolist(), frame.to_dict("records"), strict=True):
+                self.rows[tuple(values)] = {STATUS: "done"} | {str(k): v for k, v in row.items()}
 
     def run(self, simulator: Simulator, x: FloatArray, tick: Callable[[int, int], None] | None = None) -> None:
         """Make sure that every row of x (m, d) is in the log; tick(done, total) after each."""

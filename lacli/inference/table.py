@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,6 +19,9 @@ FloatArray = NDArray[np.float64]
 STATUS = "status"
 OK_STATUS = {"ok", "done", "success", "converged", "true", "1"}
 ERROR_SUFFIX = "_discretisation_error"
+_PARQUET = (".parquet", ".pq")
+# before 3.1, pandas does not read every float's digits back to the same float on its own; since then the wish is deprecated
+_EXACT: dict[str, Any] = {} if tuple(map(int, pd.__version__.split(".")[:2])) >= (3, 1) else {"float_precision": "round_trip"}
 # bookkeeping columns that are neither inputs nor outputs
 IGNORED = {STATUS, "run", "run_id", "id", "key", "failure", "kind", "cpu_s", "wall_s", "wave", "Unnamed: 0"}
 
@@ -65,10 +70,16 @@ def read_frame(path: Path) -> pd.DataFrame:
     if not path.is_file():
         raise TableError(f"{path}: no such table. Give a .csv or .parquet file with one run a row.")
     try:
-        if path.suffix.lower() in (".parquet", ".pq"):
+        if path.suffix.lower() in _PARQUET:
             frame = pd.read_parquet(path)
         else:
-            frame = pd.read_csv(path, skipinitialspace=True)
+            with warnings.catch_warnings():  # cells beyond the header's would be dropped, or else taken as names of the rows
+                warnings.simplefilter("error", pd.errors.ParserWarning)
+                frame = pd.read_csv(path, skipinitialspace=True, index_col=False, **_EXACT)
+    except pd.errors.ParserWarning as error:
+        raise TableError(
+            f"{path}: the rows have more cells than the header line. Separate columns by commas, write decimals with points."
+        ) from error
     except Exception as error:
         raise TableError(f"{path}: cannot be read as a table ({error}). Use CSV with a header line, or Parquet.") from error
     frame.columns = [str(name).strip() for name in frame.columns]
@@ -107,6 +118,19 @@ def _numbers(frame: pd.DataFrame, what: str) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
+def input_values(frame: pd.DataFrame, where: str) -> FloatArray:
+    """The inputs of runs as numbers (n, d). Raises TableError that names the cell that holds no finite one."""
+    x = _numbers(frame, f"{where}: inputs").to_numpy(float)
+    bad = np.argwhere(~np.isfinite(x))
+    if len(bad):
+        row, column = bad[0]
+        raise TableError(
+            f"{where}: input {frame.columns[column]} has no finite value in row {row + 1}"
+            f" ({len(bad)} such cells). Fill it in or remove the run."
+        )
+    return x
+
+
 def combine(
     inputs: pd.DataFrame,
     outputs: pd.DataFrame,
@@ -130,19 +154,13 @@ def combine(
     for frame in (inputs, outputs):
         if STATUS in frame.columns:
             status_ok &= frame[STATUS].astype(str).str.strip().str.lower().isin(OK_STATUS).to_numpy()
-    x_frame = _numbers(inputs[_named(inputs, input_names, f"{where}: input")], f"{where}: inputs")
+    x_frame = inputs[_named(inputs, input_names, f"{where}: input")]
+    x = input_values(x_frame, where)
     y_frame = _numbers(outputs[_named(outputs, output_names, f"{where}: output")], f"{where}: outputs")
     shared = [name for name in y_frame.columns if name in x_frame.columns]
     if shared:
         raise TableError(f"{where}: {_list(shared)} is both an input and an output; name the outputs wanted.")
-    x, y = x_frame.to_numpy(float), y_frame.to_numpy(float)
-    bad = np.argwhere(~np.isfinite(x))
-    if len(bad):
-        row, column = bad[0]
-        raise TableError(
-            f"{where}: input {x_frame.columns[column]} has no finite value in row {row + 1}"
-            f" ({len(bad)} such cells). Fill it in or remove the run."
-        )
+    y = y_frame.to_numpy(float)
     finite = np.isfinite(y).all(1)
     if (lost := int((status_ok & ~finite).sum())) > 0:
         notes.append(f"{lost} run(s) without a finite value for every output are counted as failed.")

@@ -335,8 +335,8 @@ def compile_plugin(freefem: FreeFem, source: Path, cache_folder: Path | None = N
     """
     if obstacle := plugin_obstacle(freefem):
         raise SolverMissingError(f"{source.name} is not compiled: {obstacle}")
-    cache = (cache_folder or compiled.cache_folder()).resolve()
     try:
+        cache = (cache_folder or compiled.cache_folder()).resolve()
         parts = _plugin_parts(freefem, source, flags)
         return compiled.kept(cache, parts, f"{source.stem}.so", lambda folder: _compile(freefem, source, folder, flags))
     except (OSError, subprocess.TimeoutExpired) as error:

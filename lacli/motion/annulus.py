@@ -5,7 +5,6 @@ Files: ``motion.npz`` in a bundle's folder with times (f,), wall_point (n,), pos
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from lacli.anatomy.bundle import RINGS, Bundle
 from lacli.errors import InputError
+from lacli.store import DAMAGED
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -52,6 +52,8 @@ def descend(
     The axis runs from the cavity's centre to the annulus'. The time course rises as a half cosine to its peak at
     ``es_time`` and falls as one; the ring widens by ``circumference_change`` (a share) with it. 0 gives a rigid motion.
     """
+    if not 0.0 <= descent_mm < np.inf:
+        raise InputError(f"The annulus descends by a finite length (mm) that is not negative, got {descent_mm:g}.")
     if frames < 4:
         raise InputError(f"A motion needs at least 4 frames, got {frames}.")
     if not 0.0 < es_time < 1.0:
@@ -102,7 +104,7 @@ def load_motion(folder: Path) -> Motion:
                 np.asarray(data["positions"], dtype=np.float64),
                 float(data["es_time"]),
             )
-    except (OSError, KeyError, ValueError, TypeError, zipfile.BadZipFile) as error:
+    except DAMAGED as error:
         raise InputError(f"{file}: cannot be read as a motion ({type(error).__name__}: {error}).") from error
     f, n = len(motion.times), len(motion.wall_point)
     if motion.positions.shape != (f, n, 3):

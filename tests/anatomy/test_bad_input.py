@@ -54,6 +54,8 @@ def test_other_files_and_folders_are_looked_at_before_the_work(labels: Path, tmp
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "notes.txt").write_text("keep")
     assert "something else than a bundle" in str(refused(f"mesh {labels} --la 2 --out {tmp_path}/mine"))
+    (tmp_path / "mine" / "wall.vtu").write_text("a bundle")
+    assert "mine: also holds notes.txt" in str(refused(f"mesh {labels} --la 2 --out {tmp_path}/mine"))
     assert "no such file" in str(refused(f"mesh {labels} --la 2 --out {tmp_path}/a --fibres {tmp_path}/none.vtu"))
     assert not (tmp_path / "a").exists()
 

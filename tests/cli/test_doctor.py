@@ -63,6 +63,13 @@ def test_reference_blas_and_a_missing_compiler_are_advice(freefem: FreeFem, monk
     assert "optional" in check.found and "the same numbers" in check.found
 
 
+def test_only_freefems_kernels_are_compiled_as_its_plugins(freefem: FreeFem, monkeypatch: pytest.MonkeyPatch) -> None:
+    sources: list[str] = []
+    monkeypatch.setattr(ff, "compile_plugin", lambda freefem, source, flags: sources.append(source.name))
+    assert installation._compiler(freefem).ok
+    assert sources == ["lacli.cpp"]
+
+
 def test_plugins_that_do_not_load_are_named(freefem: FreeFem, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(installation, "needed_plugins", lambda: ["msh3", "no_such_plugin"])
     (check,) = installation._plugins(freefem)

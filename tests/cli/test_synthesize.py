@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from lacli.anatomy.bundle import load
 from lacli.anatomy.image import read
 from lacli.cli.main import build
-from lacli.errors import AnatomyError
+from lacli.errors import AnatomyError, InputError, StorageError
 from lacli.motion.annulus import load_motion
 
 
@@ -45,6 +45,31 @@ def test_a_folder_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
     with pytest.raises(AnatomyError, match="was not written by"):
         run(str(tmp_path))
     assert (tmp_path / "mine.txt").read_text() == "thesis"
+
+
+def test_files_of_somebody_else_beside_a_bundle_are_not_removed_with_it(tmp_path: Path) -> None:
+    options = [str(tmp_path / "la"), "--cell-size-mm", "8", "--order", "1"]
+    run(*options)
+    (tmp_path / "la" / "scene.toml").write_text("mine")
+    run(*options)  # the same again removes nothing
+    with pytest.raises(AnatomyError, match=r"la: also holds scene\.toml, .* choose another folder"):
+        run(*options, "--seed", "2")
+    assert (tmp_path / "la" / "scene.toml").read_text() == "mine"
+
+
+@pytest.mark.parametrize("descent", ["nan", "inf", "-1"])
+def test_a_descent_that_is_none_is_refused(descent: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="annulus"):
+        run(str(tmp_path / "la"), "--cell-size-mm", "8", "--order", "1", "--descent-mm", descent)
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_output_that_cannot_be_made_is_refused_before_the_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lacli.anatomy.synthetic.synthesize", None)
+    (tmp_path / "file").write_text("x")
+    for arguments in ([str(tmp_path / "file" / "la")], [str(tmp_path / "file"), "--cohort", "2"]):
+        with pytest.raises(StorageError, match="is a file"):
+            run(*arguments)
 
 
 def test_images_come_with_it(tmp_path: Path) -> None:

@@ -9,7 +9,8 @@ import pytest
 from typer.testing import CliRunner
 
 from lacli.cli.main import build
-from lacli.errors import LacliError, TableError, UsageError
+from lacli.errors import InputError, LacliError, StorageError, TableError, UsageError
+from lacli.inference.runs import Outcome
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
@@ -144,6 +145,122 @@ def test_wrong_calls_give_one_clear_message(arguments, error, message, tmp_path,
     monkeypatch.chdir(tmp_path)
     with pytest.raises(error, match=message):
         call(*arguments)
+
+
+def test_names_with_brackets_are_shown_as_they_are(tables, tmp_path):
+    """Units in brackets, which Rich would take for its own marks; dollars, which matplotlib would take for formulas."""
+    x, y = pd.read_csv(tables / "x.csv"), pd.read_csv(tables / "y.csv")
+    x.columns = ["E [kPa]", "rate [/s]", "c :mag: $^$"]
+    x.to_csv(tmp_path / "x.csv", index=False)
+    y.columns = ["V [mL] $_$", "d [/mm] $", "still [/]"]
+    y.assign(**{"still [/]": 1.0}).to_csv(tmp_path / "y.csv", index=False)
+    folder = tmp_path / "[/out]"
+    text = call(
+        "emulate", "--inputs", tmp_path / "x.csv", "--outputs", tmp_path / "y.csv", "--out", folder / "e.npz", "--starts", 1
+    )
+    assert "V [mL]" in text and "d [/mm]" in text and "[/out]" in text
+    text = call("sensitivity", "--emulators", folder / "e.npz", "--out", folder / "s", "-n", 16, "--draws", 0)
+    assert all(name in text for name in x.columns)
+    text = call("design", "-n", 4, "--box", box_file(tmp_path, x.columns), "--out", folder / "d.csv")
+    assert all(name in text for name in x.columns)
+
+
+def box_file(folder, names):
+    (folder / "box.toml").write_text("[box]\n" + "".join(f'"{name}" = [0, 1]\n' for name in names))
+    return folder / "box.toml"
+
+
+def test_a_damaged_emulator_file_is_told(emulated, tmp_path):
+    whole = (emulated[0] / "e.npz").read_bytes()
+    middle = len(whole) // 2
+    np.save(tmp_path / "array.npy", np.arange(3))
+    np.savez(tmp_path / "list.npz", format=np.arange(3))
+    for name, content in {
+        "empty.npz": b"",
+        "half.npz": whole[:middle],
+        "spoilt.npz": whole[:middle] + bytes(200) + whole[middle + 200 :],
+        "array.npz": (tmp_path / "array.npy").read_bytes(),
+        "list.npz": (tmp_path / "list.npz").read_bytes(),
+    }.items():
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(InputError, match=rf"{name}: not an emulator file, or a damaged one"):
+            call("sensitivity", "--emulators", tmp_path / name, "--out", tmp_path / "s")
+
+
+def test_emulators_of_an_earlier_wave_need_the_same_outputs(emulated, tmp_path):
+    folder, _ = emulated
+    tables = ("--inputs", folder / "x.csv", "--outputs", folder / "y.csv", "--output", "v_ml")
+    call("emulate", *tables, "--out", tmp_path / "v.npz", "--starts", 1, "--no-figures")
+    with pytest.raises(UsageError, match=r"v\.npz: no emulator of d_one_mm, d_two_mm; there are v_ml"):
+        call(
+            "match", "--emulators", folder / "e.npz", "--targets", folder / "t.toml", "--earlier", tmp_path / "v.npz",
+            "--out", tmp_path / "m",
+        )  # fmt: skip
+
+
+def test_a_box_where_an_input_has_no_logarithm_is_refused(emulated, tmp_path):
+    folder, _ = emulated
+    (tmp_path / "box.toml").write_text("[box]\na = [-1, 4]\nb = [0.2, 4]\nc = [0, 1]\n")
+    with pytest.raises(UsageError, match=r"box\.toml: a starts at -1; .* logarithm"):
+        call("sensitivity", "--emulators", folder / "e.npz", "--box", tmp_path / "box.toml", "--out", tmp_path / "s")
+
+
+@pytest.mark.parametrize(("value", "words"), [("", "a has no finite value in row 2"), ("oops", "row 2 holds 'oops'")])
+def test_earlier_runs_need_numbers(value, words, tmp_path):
+    rows = [f"0.{i},0.5,{'failed' if i < 4 else 'done'}" for i in range(1, 9)]
+    rows[1] = f"{value},0.5,failed"
+    (tmp_path / "runs.csv").write_text("\n".join(["a,b,status", *rows]))
+    (tmp_path / "box.toml").write_text("[box]\na = [0, 1]\nb = [0, 1]\n")
+    with pytest.raises(TableError, match=rf"runs\.csv: .*{words}"):
+        call("design", "-n", 4, "--runs", tmp_path / "runs.csv", "--box", tmp_path / "box.toml", "--out", tmp_path / "d.csv")
+
+
+def test_a_design_that_was_looked_at_first_is_run(tmp_path, monkeypatch):
+    """The points alone are written where the runs will be: they are no finished runs."""
+    asked = []
+
+    def simulator(*_):
+        def run(inputs):
+            asked.append(len(inputs))
+            yield from ((i, Outcome({"esv_ml": 90.0})) for i in range(len(inputs)))
+
+        return run
+
+    monkeypatch.setattr("lacli.cli.scenes.simulator", simulator)
+    call("design", "-n", 4, "--out", tmp_path / "d.csv")
+    for _ in range(2):  # the second time all are known
+        result = document("design", "scene.toml", "-n", 4, "--run", "--out", tmp_path / "d.csv")
+        assert asked == [4] and result["failed"] == 0
+        frame = pd.read_csv(tmp_path / "d.csv")
+        assert (frame["status"] == "done").all() and (frame["esv_ml"] == 90).all()
+
+
+def test_runs_are_not_added_to_a_table_of_something_else(tmp_path):
+    (tmp_path / "other.csv").write_text("price,sort\n1,2\n")
+    with pytest.raises(TableError, match=r"other\.csv: .* no column alpha_anterior.* another --out"):
+        call("design", "-n", 4, "--run", "scene.toml", "--out", tmp_path / "other.csv")
+    assert (tmp_path / "other.csv").read_text() == "price,sort\n1,2\n"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "emulate --inputs x.csv --outputs y.csv",
+        "sensitivity --emulators e.npz",
+        "match --emulators e.npz --targets t.toml",
+        "posterior --emulators e.npz --targets t.toml",
+        "design -n 4",
+    ],
+)
+def test_an_output_that_cannot_be_made_is_refused_before_the_work(words, tables, tmp_path, monkeypatch):
+    monkeypatch.chdir(tables)
+    (tmp_path / "file").write_text("x")
+    # the tables of runs and the emulators are not even looked at
+    with pytest.raises(StorageError, match=r"file: cannot be written, .* is a file|file is a file"):
+        call(*words.split(), "--out", tmp_path / "file" / "deeper")
+    with pytest.raises(StorageError, match=r"is a file|a folder of that name"):
+        call(*words.split(), "--out", tmp_path if words.startswith(("emulate", "design")) else tmp_path / "file")
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
 
 def test_targets_outside_all_runs_are_told(emulated):

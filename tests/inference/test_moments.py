@@ -1,6 +1,10 @@
 """The compiled sums and numpy's are the same numbers, whatever the counts; a missing compiler costs time alone."""
 
+import copy
 import logging
+import pickle
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +73,20 @@ def test_a_point_has_the_same_bits_in_any_company():
     assert np.array_equal(together.mean[:, 77:78], alone.mean)
 
 
+@pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])  # noqa: S301
+def test_a_copy_stands_on_arrays_of_its_own(again):
+    """Addresses once asked for belong to the original: a copy that kept them would read what is there no more."""
+    s, _, _ = make(2, 5, 30, 4)
+    rng = np.random.default_rng(3)
+    phi, shift = rng.standard_normal((7, 5)), -rng.random((7, 2))
+    before = moments.sums(s, phi, shift, [0, 1])
+    other = again(s)
+    assert other.addresses == tuple(a.ctypes.data for a in (other.exponent, other.weights, other.roots))
+    s.exponent[:] = s.weights[:] = s.roots[:] = np.nan
+    if again is not copy.copy:
+        assert np.array_equal(moments.sums(other, phi, shift, [0, 1]).explained, before.explained)
+
+
 @needs_compiler
 def test_exponentials_are_right_to_the_edge_of_the_numbers():
     """exp(-731) is denormal: a library that flushes such numbers to zero would have changed the whole process's rounding."""
@@ -79,6 +97,34 @@ def test_exponentials_are_right_to_the_edge_of_the_numbers():
     np.testing.assert_allclose(found, np.exp(shift[:, 0]), rtol=1e-15, atol=8 * 5e-324)
     assert 0 < found[0] < 1e-300
     assert np.float64(1e-320) * 1.0 > 0
+
+
+@needs_compiler
+def test_a_kept_library_that_does_not_load_is_made_again(tmp_path: Path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    source = tmp_path / "one.cpp"
+    source.write_text('extern "C" int one() { return 1; }\n')
+    # in other processes: what is loaded already is not looked at again
+    words = f"import pathlib; from lacli import compiled; print(compiled.library(pathlib.Path({str(source)!r})).one())"
+    for _ in range(2):
+        done = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, check=True)
+        assert done.stdout == "1\n"
+        (kept,) = (tmp_path / "cache").rglob("one.so")
+        assert kept.stat().st_size > 1000
+        kept.write_bytes(b"")
+
+
+def test_a_user_without_a_home_predicts_all_the_same(tmp_path: Path, monkeypatch):
+    """Containers run under numbers that no user has."""
+
+    def homeless() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", homeless)
+    source = tmp_path / "two.cpp"
+    source.write_text('extern "C" int two() { return 2; }\n')
+    assert compiled.library(source) is None
 
 
 def test_what_does_not_compile_is_said_and_left(tmp_path: Path, monkeypatch, caplog):

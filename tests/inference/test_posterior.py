@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import h5netcdf
 import numpy as np
 import pytest
 from exact import ExactEmulators
@@ -191,6 +192,13 @@ def test_arviz_reads_the_file(tmp_path):
         assert data.posterior["x0"].shape == (4 * 8, 90)
         assert float(data.posterior["x1"].mean()) == pytest.approx(chain.flat()[:, 1].mean())
         data.close()
+
+
+def test_a_unit_with_a_slash_goes_into_the_file(tmp_path):
+    chain = mcmc.sample_posterior(banana(), mcmc.Settings(ess=1e9, max_steps=100, seed=3))
+    write_inference_data(tmp_path / "p.nc", replace(chain, names=("rate [/s]", "k [kPa/mm]")))
+    with h5netcdf.File(tmp_path / "p.nc") as file:
+        assert {"rate [ per s]", "k [kPa per mm]"} < set(file["posterior"].variables)
 
 
 def test_separate_parts_exchange_walkers():

@@ -90,6 +90,8 @@ def test_wrong_names_are_told_with_the_right_ones():
         ("a.csv", "x,y\n", "is empty"),
         ("a.csv", "x,x\n1,2\n", "occurs twice"),
         ("a.csv", "1.0,2.0\n3,4\n", "numbers, not column names"),
+        ("a.csv", "x;y\n0,5;1,5\n0,6;2,5\n", "more cells than the header line"),
+        ("a.csv", "x,y\n1,2,9\n3,4,9\n", "more cells than the header line"),
         ("a.parquet", "not parquet", "cannot be read as a table"),
     ],
 )
@@ -99,6 +101,11 @@ def test_a_bad_file_gives_one_clear_message(tmp_path, name, text, message):
         read_frame(tmp_path / name)
     with pytest.raises(TableError, match="no such table"):
         read_frame(tmp_path / "absent.csv")
+
+
+def test_a_comma_at_the_end_of_every_line_shifts_nothing(tmp_path):
+    (tmp_path / "a.csv").write_text("x,y\n1,2,\n3,4,\n")
+    assert read_frame(tmp_path / "a.csv").to_dict("list") == {"x": [1, 3], "y": [2, 4]}
 
 
 def test_csv_and_parquet_give_the_same_bits(tmp_path):
