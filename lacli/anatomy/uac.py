@@ -46,7 +46,7 @@ RIM = {
     "rspv": Circle(0.115, 0.555, 0.02, 0.02),
 }
 SUPERIOR_WIDTH, SUPERIOR_HEIGHT = 0.23, 0.11  # half ellipses of the superior junctions, standing on beta = 0.5
-FINE_MM = 0.4
+EDGE_PATHS_MM = 0.4
 BAND = 0.01  # width, in the first round's coordinates, of the strips that stand for a line through a vessel's extreme
 
 
@@ -188,7 +188,7 @@ def line_finder(points: FloatArray, triangles: IntArray) -> Line:
     a regional feature by 0.18 mm. The published atlas (0.32 mm edges) has them; the layers of a wall mesh are coarser.
     """
     edges, _, _ = paths.edge_table(triangles)
-    if float(np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1).mean()) > FINE_MM:
+    if float(np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1).mean()) > EDGE_PATHS_MM:
         return paths.Ways.over(points, triangles).path
     graph = paths.edge_graph(points, triangles)
     return lambda start, goals: paths.shortest_path(graph, start, goals)
