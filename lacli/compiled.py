@@ -9,14 +9,17 @@ import hashlib
 import logging
 import os
 import shutil
+import signal
 import subprocess
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+
+from lacli.mechanics.process import mortal
 
 _FLAGS = ("-shared", "-fPIC", "-O3", "-std=c++17", "-fno-math-errno", "-march=native")
 _LIBRARIES = ("-lmvec", "-lm")
-_TIMEOUT_S = 120.0
+_TIMEOUT_S = 300.0
 _logger = logging.getLogger(__name__)
 
 
@@ -41,6 +44,31 @@ def compiler_version(compiler: str | Path) -> str:
     """What the compiler calls its version; raises OSError where it does not start, SubprocessError where it hangs."""
     command = [str(compiler), "-dumpfullversion"]
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=_TIMEOUT_S).stdout.strip()
+
+
+def compile_with(command: Sequence[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run a compiler in ``folder``. On a time-out, or any exception here, it and what it started are killed.
+
+    Raises OSError where it does not start, SubprocessError where it takes longer than _TIMEOUT_S.
+    """
+    with subprocess.Popen(
+        **mortal(command),
+        cwd=folder,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",
+        start_new_session=True,
+    ) as child:
+        try:
+            out, err = child.communicate(timeout=_TIMEOUT_S)
+        except BaseException:
+            # the driver's own children (cc1plus, ld) do not end with it
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(child.pid, signal.SIGKILL)
+            raise
+    return subprocess.CompletedProcess(list(command), child.returncode, out, err)
 
 
 def kept(cache: Path, parts: tuple[str, ...], name: str, build: Callable[[Path], Path]) -> Path:
@@ -74,7 +102,7 @@ def library(source: Path) -> ctypes.CDLL | None:
     def build(folder: Path) -> Path:
         built = folder / f"{source.stem}.so"
         command = [compiler, *_FLAGS, str(source.resolve()), "-o", str(built), *_LIBRARIES]
-        subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True, timeout=_TIMEOUT_S)
+        compile_with(command, folder).check_returncode()
         ctypes.CDLL(str(built))
         return built
 

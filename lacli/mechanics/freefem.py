@@ -21,7 +21,7 @@ from pathlib import Path
 
 from lacli import compiled
 from lacli.errors import SolverMissingError
-from lacli.mechanics.process import Ended, disk_is_full, mortal, supervise
+from lacli.mechanics.process import Ended, disk_is_full, supervise
 
 INSTALL = "sudo apt-get install -y freefem++ libfreefem++-dev libmumps-seq-dev libopenblas0-pthread g++"
 _logger = logging.getLogger(__name__)
@@ -339,7 +339,7 @@ def compile_plugin(freefem: FreeFem, source: Path, cache_folder: Path | None = N
         cache = (cache_folder or compiled.cache_folder()).resolve()
         parts = _plugin_parts(freefem, source, flags)
         return compiled.kept(cache, parts, f"{source.stem}.so", lambda folder: _compile(freefem, source, folder, flags))
-    except (OSError, subprocess.TimeoutExpired) as error:
+    except (OSError, subprocess.SubprocessError) as error:
         raise SolverMissingError(f"{source.name} is not compiled: {error}") from error
 
 
@@ -349,15 +349,7 @@ def _compile(freefem: FreeFem, source: Path, folder: Path, flags: Sequence[str])
     macros = ["-DNDEBUG", "-DBAMG_LONG_LONG", "-DNCHECKPTR"]
     command = [str(freefem.compiler), "-shared", "-fPIC", "-O3", "-std=c++14", "-w", *macros, *flags]
     command += [f"-I{freefem.header_path}", str(source.resolve()), "-o", str(built), *_libraries(source)]
-    answer = subprocess.run(
-        **mortal(command),
-        cwd=folder,
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        errors="replace",
-        check=False,
-    )
+    answer = compiled.compile_with(command, folder)
     if answer.returncode != 0:
         errors = [line for line in answer.stderr.splitlines() if "error:" in line or "cannot find" in line][:3]
         raise SolverMissingError(f"{source.name} does not compile: {' / '.join(errors) or answer.stderr[-400:]}")

@@ -137,3 +137,21 @@ def test_what_does_not_compile_is_said_and_left(tmp_path: Path, monkeypatch, cap
     assert not list((tmp_path / "cache").rglob("*.so"))
     monkeypatch.setenv("CXX", "/nowhere/g++")
     assert compiled.library(tmp_path / "other.cpp") is None
+
+
+def test_a_compiler_that_hangs_is_given_up_with_all_that_it_started(tmp_path: Path, monkeypatch, caplog):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    mark = tmp_path / "child.pid"
+    driver = tmp_path / "driver"
+    driver.write_text(f'#!/bin/sh\n[ "$1" = -dumpfullversion ] && exit 0\nsleep 60 & echo $! > {mark}\nwait\n')
+    driver.chmod(0o755)
+    monkeypatch.setenv("CXX", str(driver))
+    monkeypatch.setattr(compiled, "_TIMEOUT_S", 2.0)
+    source = tmp_path / "slow.cpp"
+    source.write_text("int x;\n")
+    with caplog.at_level(logging.INFO):
+        assert compiled.library(source) is None
+    assert "timed out" in caplog.text
+    # killed; whoever inherits orphans here may not have reaped it yet
+    status = Path(f"/proc/{mark.read_text().strip()}/status")
+    assert not status.exists() or "State:\tZ" in status.read_text()
