@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lacli.errors import LacliError, UsageError
+from lacli.errors import InputError, LacliError, UsageError
 from lacli.inference import posterior as mcmc
 from lacli.inference.box import Box
 from lacli.inference.design import design
@@ -29,7 +29,7 @@ from lacli.inference.matching import Match, Region, Wave, match, next_runs, rule
 from lacli.inference.nroy import EmptyRegionError, RegionSample
 from lacli.inference.runs import RunLog, Simulator
 from lacli.inference.targets import Targets
-from lacli.store import replacing, write_json
+from lacli.store import DAMAGED, replacing, write_json
 
 FloatArray = NDArray[np.float64]
 
@@ -290,10 +290,13 @@ def _match(region: Region, settings: Settings, number: int, place: Path, previou
                 found.change,
             ]
             np.savez_compressed(stream, points=s.points, level=s.level, numbers=np.array(numbers, float))
-    with np.load(file, allow_pickle=False) as a:
-        v = [float(value) for value in a["numbers"]]
-        sample = RegionSample(a["points"], a["level"], v[0], v[1], v[2], v[3], int(v[4]))
-        return Match(sample, v[5], v[6], v[7])
+    try:
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as a:
+            v = [float(value) for value in a["numbers"]]
+            sample = RegionSample(a["points"], a["level"], v[0], v[1], v[2], v[3], int(v[4]))
+            return Match(sample, v[5], v[6], v[7])
+    except DAMAGED as error:
+        raise InputError(f"{file}: not a matched region, or a damaged one ({error}). Remove it to match anew.") from error
 
 
 def _next(

@@ -2,6 +2,8 @@
 
 import json
 import os
+import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,7 +15,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lacli.errors import LacliError, UsageError
+from lacli.errors import InputError, LacliError, UsageError
 from lacli.inference import posterior as mcmc
 from lacli.inference.box import make_box
 from lacli.inference.calibration import Settings, calibrate
@@ -156,6 +158,22 @@ def test_targets_that_nothing_reaches(tmp_path):
 def test_a_folder_holds_one_calibration(whole, tmp_path):
     with pytest.raises(UsageError, match="other targets, box or settings"):
         run(whole[0], Simulator(), goal=targets(0.2))
+
+
+@pytest.mark.parametrize("name", ["region.npz", "emulators.npz"])
+def test_a_damaged_intermediate_is_named_and_can_be_removed(whole, tmp_path, name):
+    folder, result = whole
+    copy = tmp_path / "copy"
+    shutil.copytree(folder, copy)
+    file = sorted(copy.rglob(name))[0]
+    content = file.read_bytes()
+    file.write_bytes(content[: len(content) // 2])
+    with pytest.raises(InputError, match=re.escape(str(file))):
+        run(copy, Simulator())
+    file.unlink()
+    simulator = Simulator()
+    again = run(copy, simulator)
+    assert simulator.count == 0 and again.table == result.table
 
 
 def test_budgets_stop_and_say_so(tmp_path):
