@@ -278,7 +278,7 @@ def _match(region: Region, settings: Settings, number: int, place: Path, previou
     if not file.is_file():
         found = match(region, seed=settings.seed + number, previous=previous)
         s = found.sample
-        with replacing(file) as temporary, temporary.open("wb") as stream:
+        with replacing(file) as temporary, temporary.open("wb") as sink:
             numbers = [
                 s.volume,
                 s.volume_sd,
@@ -289,7 +289,7 @@ def _match(region: Region, settings: Settings, number: int, place: Path, previou
                 found.share_sd,
                 found.change,
             ]
-            np.savez_compressed(stream, points=s.points, level=s.level, numbers=np.array(numbers, float))
+            np.savez_compressed(sink, points=s.points, level=s.level, numbers=np.array(numbers, float))
     try:
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as a:
             v = [float(value) for value in a["numbers"]]
