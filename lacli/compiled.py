@@ -15,7 +15,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from lacli.mechanics.process import mortal
+from lacli.process import mortal
 
 _FLAGS = ("-shared", "-fPIC", "-O3", "-std=c++17", "-fno-math-errno", "-march=native")
 _LIBRARIES = ("-lmvec", "-lm")

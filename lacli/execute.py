@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lacli.errors import LacliError, UsageError
-from lacli.mechanics.process import die_with_parent, memory_mb
+from lacli.process import die_with_parent, memory_mb
 from lacli.scene import Scene
 from lacli.store import open_run
 

@@ -18,7 +18,7 @@ from lacli.errors import SolverMissingError
 from lacli.mechanics import freefem as ff
 from lacli.mechanics.engine import PLUGIN_FLAGS, SLOWER
 from lacli.mechanics.freefem import FreeFem
-from lacli.mechanics.process import free_bytes, memory_mb
+from lacli.process import free_bytes, memory_mb
 from lacli.resources import folder as resource_folder
 
 # shared library -> the Debian package that has it (gmsh's and VTK's wheels expect these from the system)

@@ -21,7 +21,7 @@ from pathlib import Path
 
 from lacli import compiled
 from lacli.errors import SolverMissingError
-from lacli.mechanics.process import Ended, disk_is_full, supervise
+from lacli.process import Ended, disk_is_full, supervise
 
 INSTALL = "sudo apt-get install -y freefem++ libfreefem++-dev libmumps-seq-dev libopenblas0-pthread g++"
 _logger = logging.getLogger(__name__)

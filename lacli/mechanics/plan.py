@@ -9,7 +9,7 @@ import numpy as np
 
 from lacli.anatomy.bundle import EPI, REGIONS, RINGS, Bundle
 from lacli.errors import AnatomyError
-from lacli.motion.annulus import Motion
+from lacli.motion.annulus import Motion, scene_motion
 from lacli.scene import MMHG_KPA, Scene
 
 
@@ -131,8 +131,6 @@ _METHODS = {"prestrain": "the wall's strain in the image", "backward": "backward
 
 def describe(scene: Scene, bundle: Bundle) -> list[tuple[str, bool, str]]:
     """(term, included, why) of every term that a scene can have."""
-    from lacli.mechanics.simulation import scene_motion
-
     motion = scene_motion(scene, bundle)
     plan = make_plan(scene, bundle, motion)
     materials, loads = scene.materials, scene.loads

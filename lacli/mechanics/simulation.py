@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 from lacli import resources
 from lacli.anatomy import bundle as bundles
 from lacli.anatomy.bundle import Bundle
-from lacli.errors import AnatomyError, SimulationError
+from lacli.errors import SimulationError
 from lacli.mechanics import engine, freefem, inputs
 from lacli.mechanics.accuracy import known_errors
 from lacli.mechanics.deck import render
 from lacli.mechanics.features import cavity_volume_ml, cell_gradient, displacements_mm, regional_extras
 from lacli.mechanics.plan import Plan, make_plan
-from lacli.motion import annulus
-from lacli.motion.annulus import Motion
+from lacli.motion.annulus import Motion, scene_motion
 from lacli.scene import MMHG_KPA, Scene
 from lacli.store import OpenRun, StoredRun, open_run, write_json, write_text
 
@@ -52,21 +51,6 @@ class State:
     reference: FloatArray
     pressure: float
     min_jacobian: float
-
-
-def scene_motion(scene: Scene, bundle: Bundle) -> Motion | None:
-    """The annulus's motion that the scene asks for, or None where it is held."""
-    if scene.motion.annulus == "none":
-        return None
-    if scene.motion.annulus == "axial":
-        return annulus.descend(bundle, scene.motion.frames, scene.motion.amplitude_mm, scene.motion.es_time, 0.0)
-    motion = annulus.load_motion(scene.anatomy.bundle)
-    if motion.wall_point.max() >= len(bundle.points) or motion.wall_point.min() < 0:
-        raise AnatomyError(f"{scene.anatomy.bundle}/motion.npz names points that wall.vtu does not have; write both together.")
-    gap = float(np.abs(motion.positions[0] - bundle.points[motion.wall_point]).max())
-    if gap > 1e-3:
-        raise AnatomyError(f"{scene.anatomy.bundle}/motion.npz: its first frame is {gap:.3g} mm away from the bundle's geometry.")
-    return motion
 
 
 def run_scene(scene: Scene, root: Path, on_progress: OnProgress | None = None) -> RunResult:

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lacli.anatomy.bundle import RINGS, Bundle
-from lacli.errors import InputError
+from lacli.errors import AnatomyError, InputError
+from lacli.scene import Scene
 from lacli.store import DAMAGED
 
 FloatArray = NDArray[np.float64]
@@ -113,4 +114,19 @@ def load_motion(folder: Path) -> Motion:
         raise InputError(f"{file}: times must rise from 0 and stay below 1.")
     if not (np.isfinite(motion.positions).all() and 0 < motion.es_time < 1):
         raise InputError(f"{file}: a position is not finite, or es_time is not between 0 and 1.")
+    return motion
+
+
+def scene_motion(scene: Scene, bundle: Bundle) -> Motion | None:
+    """The annulus's motion that the scene asks for, or None where it is held."""
+    if scene.motion.annulus == "none":
+        return None
+    if scene.motion.annulus == "axial":
+        return descend(bundle, scene.motion.frames, scene.motion.amplitude_mm, scene.motion.es_time, 0.0)
+    motion = load_motion(scene.anatomy.bundle)
+    if motion.wall_point.max() >= len(bundle.points) or motion.wall_point.min() < 0:
+        raise AnatomyError(f"{scene.anatomy.bundle}/motion.npz names points that wall.vtu does not have; write both together.")
+    gap = float(np.abs(motion.positions[0] - bundle.points[motion.wall_point]).max())
+    if gap > 1e-3:
+        raise AnatomyError(f"{scene.anatomy.bundle}/motion.npz: its first frame is {gap:.3g} mm away from the bundle's geometry.")
     return motion

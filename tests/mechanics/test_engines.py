@@ -18,6 +18,7 @@ from lacli.anatomy.shell import mesh_shell
 from lacli.errors import SolverMissingError
 from lacli.mechanics import engine, freefem, inputs, plan, simulation
 from lacli.mechanics.freefem import FreeFem
+from lacli.motion.annulus import scene_motion
 from lacli.scene import Scene, build_scene
 
 SOLVERS = resources.folder("solvers") / "freefem"
@@ -121,7 +122,7 @@ def disturbed(ball: Bundle, folder: Path, place: Path, order: int, points: int, 
     """What ``DISTURBED`` writes with one of the engines."""
     settings = scene(folder, f"numerics.order={order}", "materials.plane_c_kpa=3")
     work = inputs.as_order(ball, order)
-    motion = simulation.scene_motion(settings, work)
+    motion = scene_motion(settings, work)
     inputs.write_inputs(work, settings, plan.make_plan(settings, work, motion), motion, place)
     load = f'load "{engine.plugin().with_suffix("")}"' if chosen == "plugin" else ""
     text = DISTURBED.replace("LOAD", load).replace("PORDER", f"P{order}").replace("POINTS", str(points))

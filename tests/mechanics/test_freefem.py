@@ -18,9 +18,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lacli import process
 from lacli.errors import SolverMissingError
 from lacli.mechanics import freefem as ff
-from lacli.mechanics import process
 from lacli.mechanics.freefem import FreeFem, build_plugin, find, parse_progress, parse_stop, run
 
 SPEAK = 'cout << "@ progress phase=load load=0.5 step=0.1 newton=2 residual=1e-3 minj=0.9" << endl; cout.flush;\n'

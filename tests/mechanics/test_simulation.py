@@ -15,6 +15,7 @@ from lacli.anatomy.shell import mesh_shell
 from lacli.errors import AnatomyError, SceneError
 from lacli.mechanics import deck, engine, freefem, inputs, plan, simulation
 from lacli.mechanics.features import cavity_volume_ml, displacements_mm, regional_extras
+from lacli.motion.annulus import scene_motion
 from lacli.scene import Scene, build_scene
 
 
@@ -50,7 +51,7 @@ def scene(folder: Path, *overrides: str) -> Scene:
 
 def rendered(folder: Path, ball: Bundle, *overrides: str) -> str:
     chosen = scene(folder, *overrides)
-    motion = simulation.scene_motion(chosen, ball)
+    motion = scene_motion(chosen, ball)
     return deck.render(chosen, plan.make_plan(chosen, ball, motion), Path("/tmp/lacli.so"))
 
 
