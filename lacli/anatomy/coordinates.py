@@ -219,8 +219,9 @@ def _feet(bundle: Bundle, cells: NDArray[np.bool_], centres: FloatArray) -> IntA
 
 
 def pericardium_coordinate(bundle: Bundle, region: IntArray) -> FloatArray:
-    """(n,) harmonic in the wall: 0 at the mitral ring, 1 in the roof region."""
-    corner, wall = _linear(bundle, region < 20)
+    """(n,) harmonic in the wall: 0 at the mitral ring, 1 in the roof of ``region`` (m,), which need not be the bundle's own."""
+    inside = region < 20
+    corner, wall = bundle.tets[inside, :4], region[inside]
     ring = np.unique(corner[wall == RINGS["mv"]])
     roof = np.setdiff1d(np.unique(corner[wall == REGIONS["roof"]]), ring)
     if len(ring) == 0 or len(roof) == 0:
@@ -228,10 +229,6 @@ def pericardium_coordinate(bundle: Bundle, region: IntArray) -> FloatArray:
     matrix = laplace.stiffness(laplace.gradient(bundle.points, corner), len(bundle.points))
     field = laplace.solve(matrix, {0.0: ring, 1.0: roof})
     return np.clip(_fill_points(bundle, field), 0.0, 1.0)
-
-
-def _linear(bundle: Bundle, keep: NDArray[np.bool_]) -> tuple[IntArray, IntArray]:
-    return bundle.tets[keep, :4], bundle.region[keep]
 
 
 def _fill_points(bundle: Bundle, field: FloatArray) -> FloatArray:
