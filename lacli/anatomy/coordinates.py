@@ -65,19 +65,16 @@ def describe(bundle: Bundle, sides: Mapping[str, FloatArray] | None = None, rule
     if bundle.transmural is None:
         raise AnatomyError("the bundle has no transmural coordinate.")
     given = dict(sides or {})
-    coordinate = np.full((len(bundle.points), 2), np.nan)
     on = {}
-    for side in (EPI, ENDO):  # the endocardium last: it rules where both meet
+    for side in (EPI, ENDO):
         layer = fine_layer_of(bundle, side)
-        on[side] = laid = Laid(layer, uac.coordinates(_parts(layer, given)))
-        own = layer.node >= 0
-        coordinate[layer.node[own]] = laid.uac[own]
-    coordinate = _through_the_wall(bundle, on, coordinate)
+        on[side] = Laid(layer, uac.coordinates(_parts(layer, given)))
+    coordinate = _at_points(bundle, {side: (laid.layer, laid.uac) for side, laid in on.items()})
     inner = on[ENDO]
     lines = regions.lines_of(*(inner.uac[_rim(inner.layer, name)] for name in ("rspv", "lipv")))
     region, islands = _cell_regions(bundle, inner, lines)
     fibre = bundle.fibre if rule == "keep" else _fibres(bundle, on, rule)
-    xi = pericardium_coordinate(bundle, region)
+    xi = _pericardium_coordinate(bundle, on, lines)
     done = replace(bundle, region=region, fibre=fibre, uac=coordinate, pericardium_coordinate=xi)
     return Described(done, lines, islands)
 
@@ -163,36 +160,52 @@ def _parts(layer: Layer, sides: Mapping[str, FloatArray]) -> uac.Parts:
     )
 
 
-def _through_the_wall(bundle: Bundle, on: Mapping[int, Laid], coordinate: FloatArray) -> FloatArray:
-    """Points inside the wall, and of the planes, take the coordinates of the nearest point of the layer on their side."""
+def _at_points(bundle: Bundle, sides: Mapping[int, tuple[Layer, FloatArray]]) -> FloatArray:
+    """(n, c) at the bundle's points of values (p, c) on the layers of its two sides.
+
+    Points of a side have its values (of the endocardium where both meet); those inside the wall, and of the planes, the values of
+    the nearest point of the layer on their side.
+    """
     assert bundle.transmural is not None
-    out = coordinate.copy()
-    missing = np.flatnonzero(~np.isfinite(coordinate).all(axis=1))
+    out = np.full((len(bundle.points), sides[ENDO][1].shape[1]), np.nan)
+    for side in (EPI, ENDO):
+        layer, values = sides[side]
+        own = layer.node >= 0
+        out[layer.node[own]] = values[own]
+    missing = np.flatnonzero(~np.isfinite(out).all(axis=1))
     for side, half in ((ENDO, bundle.transmural[missing] < 0.5), (EPI, bundle.transmural[missing] >= 0.5)):
-        known = np.isfinite(on[side].uac).all(axis=1)
+        layer, values = sides[side]
+        known = np.isfinite(values).all(axis=1)
         chosen = missing[half]
         if len(chosen):
-            _, nearest = cKDTree(on[side].layer.points[known]).query(bundle.points[chosen])
-            out[chosen] = on[side].uac[known][nearest]
+            _, nearest = cKDTree(layer.points[known]).query(bundle.points[chosen])
+            out[chosen] = values[known][nearest]
     return out
 
 
+def _fine_regions(bundle: Bundle, laid: Laid, lines: regions.Lines) -> tuple[IntArray, FloatArray, int]:
+    """Region and area (t,) of a layer's triangles, islands corrected, and how many were; rings keep their cells' labels."""
+    points, triangles = laid.layer.points, laid.layer.triangles
+    label = cell_label(bundle, bundle.triangles[laid.layer.source, :3])
+    area = 0.5 * np.linalg.norm(area_normals(points[triangles]), axis=1)
+    region, islands = regions.without_islands(triangles, regions.of_triangles(laid.uac, triangles, lines), area, label < 10)
+    return np.where(label < 10, region, label), area, islands
+
+
 def _cell_regions(bundle: Bundle, inner: Laid, lines: regions.Lines) -> tuple[IntArray, int]:
-    """Regions of the endocardium's fine triangles, islands corrected, carried to the cells behind them."""
+    """Regions of the endocardium's fine triangles carried to the cells behind them; how many triangles were islands."""
     points, triangles = inner.layer.points, inner.layer.triangles
-    region = regions.of_triangles(inner.uac, triangles, lines)
+    region, area, islands = _fine_regions(bundle, inner, lines)
     faces, face = np.unique(inner.layer.source, return_inverse=True)
     corners = bundle.triangles[faces, :3]
     behind = cell_behind(bundle, corners)
     body = bundle.region[behind] < 10
     under = body[face]
-    area = 0.5 * np.linalg.norm(area_normals(points[triangles]), axis=1)
-    region, islands = regions.without_islands(triangles, region, area, under)
     cells = bundle.region < 10
     out = bundle.region.copy()
     out[cells] = region[under][_feet(bundle, cells, points[triangles[under]].mean(axis=1))]
     # features are means over the faces of the cells at the endocardium: these take what most of their faces' area is
-    of_face = _most(face, region, area, len(faces))
+    of_face = _most(face[under], region[under], area[under], len(faces))
     size = np.bincount(face, area).astype(np.float64)
     of_face, more = regions.without_islands(corners, of_face, size, body)
     owner = np.unique(behind[body])
@@ -218,17 +231,24 @@ def _feet(bundle: Bundle, cells: NDArray[np.bool_], centres: FloatArray) -> IntA
     return np.asarray(cKDTree(centres).query(foot)[1])
 
 
-def pericardium_coordinate(bundle: Bundle, region: IntArray) -> FloatArray:
-    """(n,) harmonic in the wall: 0 at the mitral ring, 1 in the roof of ``region`` (m,), which need not be the bundle's own."""
-    inside = region < 20
-    corner, wall = bundle.tets[inside, :4], region[inside]
-    ring = np.unique(corner[wall == RINGS["mv"]])
-    roof = np.setdiff1d(np.unique(corner[wall == REGIONS["roof"]]), ring)
-    if len(ring) == 0 or len(roof) == 0:
-        raise AnatomyError("the pericardium coordinate needs a mitral ring and a roof region.")
-    matrix = laplace.stiffness(laplace.gradient(bundle.points, corner), len(bundle.points))
-    field = laplace.solve(matrix, {0.0: ring, 1.0: roof})
-    return np.clip(_fill_points(bundle, field), 0.0, 1.0)
+def _pericardium_coordinate(bundle: Bundle, on: Mapping[int, Laid], lines: regions.Lines) -> FloatArray:
+    """(n,) harmonic on either side of the wall: 0 at the mitral ring, 1 in the roof region.
+
+    On the fine layers, as the roof is: from cells, whose roof is as ragged as they are large, the springs that follow from it
+    held a real atrium 5 % more at 4 than at 1.5 mm.
+    """
+    sides = {}
+    for side, laid in on.items():
+        triangles, points = laid.layer.triangles, laid.layer.points
+        region, _, _ = _fine_regions(bundle, laid, lines)
+        ring = np.unique(triangles[region == RINGS["mv"]])
+        roof = np.setdiff1d(np.unique(triangles[region == REGIONS["roof"]]), ring)
+        if len(ring) == 0 or len(roof) == 0:
+            raise AnatomyError("the pericardium coordinate needs a mitral ring and a roof region.")
+        matrix = laplace.stiffness(laplace.gradient(points, triangles), len(points))
+        field = laplace.solve(matrix, {0.0: ring, 1.0: roof})
+        sides[side] = (laid.layer, np.clip(field, 0.0, 1.0)[:, None])
+    return _at_points(bundle, sides)[:, 0]
 
 
 def _fill_points(bundle: Bundle, field: FloatArray) -> FloatArray:

