@@ -88,7 +88,6 @@ def test_coordinates_run_from_0_to_1_and_fibres_are_tangent(built: build.Built) 
     assert np.linalg.norm(bundle.fibre, axis=1) == pytest.approx(1.0)
     ring = np.unique(bundle.tets[bundle.region == 11, :4])
     assert bundle.pericardium_coordinate[ring] == pytest.approx(0.0, abs=1e-12)
-    roof = np.unique(bundle.tets[bundle.region == REGIONS["roof"], :4])
     # 1 on the roof as the regions have it, but for cells that its border crosses
     top = (bundle.pericardium_coordinate[bundle.tets[:, :4]] > 0.999).all(axis=1)
     body = bundle.region < 10
