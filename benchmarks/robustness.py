@@ -7,6 +7,7 @@ Asked: one clear message, exit code 1 or 2, no traceback, nothing lost or half-w
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -151,8 +152,13 @@ def running(pid: int) -> bool:
 
 def freefem_of(lacli: subprocess.Popen[str]) -> list[int]:
     """The run's FreeFEM, not the short one by which lacli finds out whether FreeFEM works."""
-    lines = {pid: Path(f"/proc/{pid}/cmdline").read_bytes() for pid in children(lacli.pid)}
-    return [pid for pid, line in lines.items() if b"FreeFem" in line and b".tmp-" in line]
+    found = []
+    for pid in children(lacli.pid):
+        with contextlib.suppress(OSError):  # a short one that has ended by now
+            line = Path(f"/proc/{pid}/cmdline").read_bytes()
+            if b"FreeFem" in line and b".tmp-" in line:
+                found.append(pid)
+    return found
 
 
 def shot(place: Place, case: str, after_s: float, whom: str, how: signal.Signals, expected: dict[str, float]) -> Verdict:
