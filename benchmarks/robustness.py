@@ -7,7 +7,6 @@ Asked: one clear message, exit code 1 or 2, no traceback, nothing lost or half-w
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import signal
@@ -16,7 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -154,7 +153,7 @@ def freefem_of(lacli: subprocess.Popen[str]) -> list[int]:
     """The run's FreeFEM, not the short one by which lacli finds out whether FreeFEM works."""
     found = []
     for pid in children(lacli.pid):
-        with contextlib.suppress(OSError):  # a short one that has ended by now
+        with suppress(OSError):  # a short one that has ended by now
             line = Path(f"/proc/{pid}/cmdline").read_bytes()
             if b"FreeFem" in line and b".tmp-" in line:
                 found.append(pid)
