@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from lacli.mechanics.verification_laws import B, guccione_stress
+from lacli.mechanics.verification_laws import B, guccione_exponent, guccione_stress
 
 FloatArray = NDArray[np.float64]
 FIBRE = np.array([1.0, 0.0, 0.0])
@@ -37,18 +37,10 @@ def stretch(e: FloatArray) -> tuple[FloatArray, FloatArray]:
     return (vector * np.exp(value)) @ vector.T, fibre / np.linalg.norm(fibre)
 
 
-def exponent(e: FloatArray, alpha: float) -> float:
-    """Q = alpha (bf Eff^2 + 2 bft (Efs^2 + Efn^2) + bt (Ess^2 + Enn^2 + 2 Esn^2)) at the stretch exp(e)."""
-    U, f = stretch(e)
-    E = (U @ U - np.eye(3)) / 2
-    bf, bft, bt = B
-    along, all_along, everything = f @ E @ f, np.sum((E @ f) ** 2), np.sum(E**2)
-    return float(alpha * (bt * everything + 2 * (bft - bt) * all_along + (bf - 2 * bft + bt) * along**2))
-
-
 def excess(size: float, direction: FloatArray, alpha: float, q: float) -> float:
-    """How far Q at exp(size direction) is above ``q``."""
-    return exponent(size * direction, alpha) - q
+    """How far the exponent Q at the stretch exp(size direction) is above ``q``."""
+    U, f = stretch(size * direction)
+    return guccione_exponent(U, f, alpha, B) - q
 
 
 def stress(e: FloatArray, alpha: float) -> FloatArray:

@@ -28,13 +28,24 @@ def guccione_stress(
 ) -> FloatArray:
     """First Piola stress (3, 3) in the axes of fibre, sheet and normal, term by term as the law is printed:
     S_ij = C/2 exp Q dQ/dE_ij, Q = alpha [bf Eff^2 + 2 bft (Efs^2 + Efn^2) + bt (Ess^2 + Enn^2 + 2 Esn^2)]."""
+    E, factor, axes = _guccione_terms(F, f, b)
+    S = c * alpha * np.exp(alpha * np.sum(factor * E**2)) * factor * E
+    return F @ (axes.T @ S @ axes) + (kappa * np.log(np.linalg.det(F)) + p) * np.linalg.inv(F).T
+
+
+def guccione_exponent(F: FloatArray, f: FloatArray, alpha: float, b: tuple[float, float, float]) -> float:
+    """Q of ``guccione_stress``."""
+    E, factor, _ = _guccione_terms(F, f, b)
+    return float(alpha * np.sum(factor * E**2))
+
+
+def _guccione_terms(F: FloatArray, f: FloatArray, b: tuple[float, float, float]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Green's strain in the axes of fibre, sheet and normal, the factor of each of its squares in Q / alpha, the axes (rows)."""
     bf, bft, bt = b
     axes = np.linalg.svd(f.reshape(1, 3))[2]
     axes[0] = f
     E = axes @ ((F.T @ F - np.eye(3)) / 2) @ axes.T
-    factor = np.array([[bf, bft, bft], [bft, bt, bt], [bft, bt, bt]])
-    S = c * alpha * np.exp(alpha * np.sum(factor * E**2)) * factor * E
-    return F @ (axes.T @ S @ axes) + (kappa * np.log(np.linalg.det(F)) + p) * np.linalg.inv(F).T
+    return E, np.array([[bf, bft, bft], [bft, bt, bt], [bft, bt, bt]]), axes
 
 
 def neo_hookean_stress(F: FloatArray, p: float, c: float, kappa: float) -> FloatArray:
