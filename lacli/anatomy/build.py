@@ -31,7 +31,7 @@ RIM_INSET_MM = 1.0  # an uneven rim is cut flat this far inside
 class Options:
     """What the user chooses: cell size and wall thickness (mm), element order, ring width (mm), fibre rule."""
 
-    cell_size_mm: float = 2.0
+    cell_size_mm: float = 3.5
     thickness_mm: float = 2.0
     order: int = 2
     ring_width_mm: float = 2.5

@@ -22,7 +22,7 @@ def command(
         Path | None, typer.Option("--labels", help="Label map of the same patient: its label --la is the blood pool.")
     ] = None,
     la: Annotated[int | None, typer.Option("--la", help="Label of the left atrium's blood in --labels.")] = None,
-    reach_mm: Annotated[float, typer.Option("--within", help="How far from the blood pool fat counts, mm.")] = 5.0,
+    reach_mm: Annotated[float, typer.Option("--within-mm", help="How far from the blood pool fat counts, mm.")] = 5.0,
     folder: Annotated[
         Path, typer.Option("--out", "-o", help="Folder for fat.vtp (surface), fat.vtu (voxels with regions), fat.json.")
     ] = Path("fat"),
@@ -44,7 +44,7 @@ def command(
             "Give the blood pool: --anatomy BUNDLE, or --labels MAP with --la LABEL, or both (regions come from the bundle)."
         )
     if not 0.5 <= reach_mm <= 20.0:
-        raise UsageError(f"--within is {reach_mm:g} mm; it must be 0.5 to 20 mm.")
+        raise UsageError(f"--within-mm is {reach_mm:g} mm; it must be 0.5 to 20 mm.")
     check_folder(folder)
     with progress() as bar:
         task = bar.add_task("reading", total=2 + len(fat.WINDOWS))

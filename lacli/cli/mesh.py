@@ -38,17 +38,20 @@ def command(
     wall: Annotated[
         int | None, typer.Option("--wall", help="Label of the atrial wall; without it the wall has the thickness below.")
     ] = None,
-    cell_size_mm: Annotated[float, typer.Option("--cell-size", help="Edge length of the cells, mm.")] = 2.0,
-    thickness_mm: Annotated[float, typer.Option("--thickness", help="Uniform wall thickness, mm.")] = 2.0,
+    cell_size_mm: Annotated[
+        float,
+        typer.Option("--cell-size-mm", help="Edge length of the cells, mm; how accuracy and cost depend on it: README."),
+    ] = 3.5,
+    thickness_mm: Annotated[float, typer.Option("--thickness-mm", help="Uniform wall thickness, mm.")] = 2.0,
     order: Annotated[
         int, typer.Option("--order", help="1: straight cells; 2: 10-node cells, edge middles on the smooth surface.")
     ] = 2,
     layers: Annotated[
         int | None, typer.Option("--layers", help="Cells through the wall; default: thickness over cell size, at least 1.")
     ] = None,
-    ring_width_mm: Annotated[float, typer.Option("--ring-width", help="Width of the rings along the cuts, mm.")] = 2.5,
+    ring_width_mm: Annotated[float, typer.Option("--ring-width-mm", help="Width of the rings along the cuts, mm.")] = 2.5,
     smoothing_mm: Annotated[
-        float | None, typer.Option("--smoothing", help="Smoothing of the voxels, mm; default 1.25 coarsest spacings.")
+        float | None, typer.Option("--smoothing-mm", help="Smoothing of the voxels, mm; default 1.25 coarsest spacings.")
     ] = None,
     landmarks_file: Annotated[Path | None, typer.Option("--landmarks", help="landmarks.toml; what stands there wins.")] = None,
     fibres: Annotated[
@@ -72,7 +75,7 @@ def command(
     Images are in ITK's LPS millimetres. The openings found are written to landmarks.toml in the bundle's folder: look at
     the pictures, edit it, and give it back with --landmarks.
 
-    Example: lacli mesh heart.nii.gz --la 2 --lv 3 --cell-size 4 --out anatomy
+    Example: lacli mesh heart.nii.gz --la 2 --lv 3 --cell-size-mm 4 --out anatomy
     """
     from lacli.anatomy import meshfile
     from lacli.anatomy.build import Options
@@ -108,9 +111,9 @@ def command(
 
 def _check(cell: float, thickness: float, ring: float, order: int, layers: int | None, frame: str) -> None:
     for name, value, low, high in (
-        ("--cell-size", cell, 0.2, 10.0),
-        ("--thickness", thickness, 0.2, 8.0),
-        ("--ring-width", ring, 0.5, 10.0),
+        ("--cell-size-mm", cell, 0.2, 10.0),
+        ("--thickness-mm", thickness, 0.2, 8.0),
+        ("--ring-width-mm", ring, 0.5, 10.0),
     ):
         if not low <= value <= high:
             raise UsageError(f"{name} is {value:g} mm; it must be {low:g} to {high:g} mm.")

@@ -193,7 +193,7 @@ def test_the_command(made: synthetic_image.SyntheticImages, tmp_path: Path) -> N
     image.write(made.labels, tmp_path / "labels.nii.gz")
     run = CliRunner().invoke(
         application({"mesh"}),
-        f"mesh {tmp_path}/labels.nii.gz --la 2 --lv 3 --cell-size 4 --order 1 --out {tmp_path}/anatomy --no-pictures --json",
+        f"mesh {tmp_path}/labels.nii.gz --la 2 --lv 3 --cell-size-mm 4 --order 1 --out {tmp_path}/anatomy --no-pictures --json",
     )
     assert run.exit_code == 0, run.output
     report = json.loads(run.stdout)
