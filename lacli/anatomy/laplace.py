@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csr_matrix, diags
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import cg
 
 from lacli.errors import AnatomyError
@@ -78,6 +79,10 @@ def solve(
     if len(unknown) == 0:
         return field
     known = np.unique(ids)
+    # where no value is given, any constant solves the equations: the iteration would keep what it started from
+    _, part = connected_components(matrix, directed=False)
+    if not np.isin(part[unknown], part[known]).all():
+        raise AnatomyError("Laplace problem without an answer: a part of the mesh is not connected to any boundary value.")
     rows = matrix[unknown]
     right = -(rows[:, known] @ field[known])
     system = rows[:, unknown]
@@ -86,7 +91,7 @@ def solve(
     start = np.full(len(unknown), float(values.mean())) / scale
     answer, status = cg(scaled, right * scale, x0=start, rtol=tolerance, atol=0.0, maxiter=20 * len(unknown) + 1000)
     if status != 0 or not np.isfinite(answer).all():
-        raise AnatomyError("Laplace problem without an answer: a part of the mesh is not connected to any boundary value.")
+        raise AnatomyError("Laplace problem without an answer: the iteration does not converge; the mesh's cells are too poor.")
     field[unknown] = answer * scale
     return field
 

@@ -58,3 +58,14 @@ def test_a_flat_cell_and_an_empty_boundary_are_refused() -> None:
     matrix = laplace.stiffness(laplace.gradient(points, tets), len(points))
     with pytest.raises(AnatomyError, match="boundary value 1"):
         laplace.solve(matrix, {0.0: np.array([0]), 1.0: np.zeros(0, dtype=np.int64)})
+
+
+def test_a_part_without_a_boundary_value_is_refused() -> None:
+    points, tets = box(3)
+    both = np.vstack([points, points + [5.0, 0, 0]])
+    matrix = laplace.stiffness(laplace.gradient(both, np.vstack([tets, tets + len(points)])), len(both))
+    ends = {0.0: np.flatnonzero(points[:, 0] == 0), 1.0: np.flatnonzero(points[:, 0] == 1)}
+    with pytest.raises(AnatomyError, match="not connected to any boundary value"):
+        laplace.solve(matrix, ends)
+    ends[2.0] = np.array([len(points)])
+    assert laplace.solve(matrix, ends)[len(points) :] == pytest.approx(2.0, abs=1e-8)
