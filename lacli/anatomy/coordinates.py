@@ -68,7 +68,9 @@ def describe(bundle: Bundle, sides: Mapping[str, FloatArray] | None = None, rule
     on = {}
     for side in (EPI, ENDO):
         layer = fine_layer_of(bundle, side)
-        on[side] = Laid(layer, uac.coordinates(_parts(layer, given)))
+        # however fine the cells: edges of a subdivision have three directions a face, so paths along them stay longer by a sixth
+        line = paths.Ways.over(layer.points, layer.triangles).path
+        on[side] = Laid(layer, uac.coordinates(_parts(layer, given), line))
     coordinate = _at_points(bundle, {side: (laid.layer, laid.uac) for side, laid in on.items()})
     inner = on[ENDO]
     lines = regions.lines_of(*(inner.uac[_rim(inner.layer, name)] for name in ("rspv", "lipv")))

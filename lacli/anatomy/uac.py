@@ -93,14 +93,15 @@ class _Superior:
     front: IntArray
 
 
-def coordinates(parts: Parts) -> FloatArray:
+def coordinates(parts: Parts, line: Line | None = None) -> FloatArray:
     """(n, 2) alpha and beta at the points of the surface; NaN at points of no triangle.
 
+    ``line``: how lines are laid, from a point to one of several, as point ids; None: by ``line_finder``.
     Raises AnatomyError where a vein or the mitral rim is missing, or the lines do not part posterior from anterior.
     """
     points, triangles = parts.points, parts.triangles
     junction, rim = _vessel_loops(parts)
-    line = line_finder(points, triangles)
+    line = line or line_finder(points, triangles)
     between = np.mean([points[junction[name]].mean(axis=0) for name in VEINS], axis=0)
     lspv = _superior(points, junction["lspv"], junction["lipv"], parts.lspv_roof, between)
     rspv = _superior(points, junction["rspv"], junction["ripv"], parts.rspv_roof, between)
@@ -185,7 +186,7 @@ def line_finder(points: FloatArray, triangles: IntArray) -> Line:
     """How lines are laid: along edges as published on the finest meshes, else by the shortest way across triangles.
 
     Edge paths, and the ends that they find on a rim, follow the mesh more than the atrium: on one of 0.75 mm edges they moved
-    a regional feature by 0.18 mm. The published atlas (0.32 mm edges) has them; the layers of a wall mesh are coarser.
+    a regional feature by 0.18 mm. The published atlas (0.32 mm edges) has them.
     """
     edges, _, _ = paths.edge_table(triangles)
     if float(np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1).mean()) > EDGE_PATHS_MM:

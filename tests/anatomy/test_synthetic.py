@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +60,15 @@ def test_regions_do_not_follow_the_cells(made: tuple[Bundle, Motion]) -> None:
     # cells of 8 mm against 4 mm; coordinates on the cells' own nodes gave 0.010 and 1.1 - 1.7 mm
     assert other == pytest.approx(share, abs=0.007)
     assert np.linalg.norm(elsewhere - centre, axis=1).max() < 0.9
+
+
+def test_coordinates_do_not_depend_on_how_large_the_atrium_is(made: tuple[Bundle, Motion]) -> None:
+    bundle, _ = made
+    # cells of 2 and of 0.6 mm, both cut in four
+    large, small = (describe(replace(bundle, points=bundle.points * scale)).bundle for scale in (0.5, 0.15))
+    assert small.uac == pytest.approx(large.uac, abs=1e-8)
+    assert small.pericardium_coordinate == pytest.approx(large.pericardium_coordinate, abs=1e-8)
+    assert np.array_equal(small.region, large.region)
 
 
 def places(bundle: Bundle) -> tuple[np.ndarray, np.ndarray]:
