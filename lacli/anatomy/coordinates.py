@@ -96,10 +96,19 @@ def layer_of(bundle: Bundle, side: int) -> Layer:
 
 
 def fine_layer_of(bundle: Bundle, side: int) -> Layer:
-    """The same side in triangles of about FINE_MM, their points on the curved faces. Raises AnatomyError where it has none."""
+    """The same side in triangles of about FINE_MM, their points on the curved faces.
+
+    Of a side in several parts the largest: cells kept as they were leave pieces of their cut faces beside the epicardium, where
+    harmonic coordinates have no boundary values. Raises AnatomyError where the side has no triangle.
+    """
     chosen, vessel = _faces(bundle, side)
     if len(chosen) == 0:
         raise AnatomyError(f"the wall has no {'endocardium' if side == ENDO else 'epicardium'}.")
+    count, part = paths.triangle_components(bundle.triangles[chosen, :3])
+    if count > 1:
+        size = np.linalg.norm(area_normals(bundle.points[bundle.triangles[chosen, :3]]), axis=1)
+        largest = part == np.argmax(np.bincount(part, size))
+        chosen, vessel = chosen[largest], vessel[largest]
     faces = bundle.triangles[chosen]
     edge = bundle.points[faces[:, [1, 2, 0]]] - bundle.points[faces[:, :3]]
     # an even number along each edge: the nodes at the middles are among the points

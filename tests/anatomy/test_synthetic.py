@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lacli.anatomy import cells
-from lacli.anatomy.bundle import OPENINGS, PLANES, REGIONS, RINGS, Bundle, check, load, save
+from lacli.anatomy.bundle import OPENINGS, OTHER, PLANES, REGIONS, RINGS, Bundle, check, load, save
 from lacli.anatomy.coordinates import describe
 from lacli.anatomy.shell import frame_of, mesh_shell
 from lacli.anatomy.surface import Surface, defects
@@ -69,6 +69,19 @@ def test_coordinates_do_not_depend_on_how_large_the_atrium_is(made: tuple[Bundle
     assert small.uac == pytest.approx(large.uac, abs=1e-8)
     assert small.pericardium_coordinate == pytest.approx(large.pericardium_coordinate, abs=1e-8)
     assert np.array_equal(small.region, large.region)
+
+
+def test_a_loose_piece_of_the_epicardium_has_the_values_around_it(made: tuple[Bundle, Motion]) -> None:
+    bundle, _ = made
+    far_side = np.flatnonzero(bundle.tags == OTHER)
+    rim = np.unique(bundle.triangles[bundle.tags != OTHER])
+    loose = far_side[~np.isin(bundle.triangles[far_side], rim).any(axis=1)][:2]
+    assert len(loose) == 2
+    tags = bundle.tags.copy()
+    tags[loose] = RINGS["mv"]
+    whole, pieces = describe(bundle).bundle, describe(replace(bundle, tags=tags)).bundle
+    assert pieces.uac == pytest.approx(whole.uac, abs=1e-8)
+    assert pieces.pericardium_coordinate == pytest.approx(whole.pericardium_coordinate, abs=1e-8)
 
 
 def places(bundle: Bundle) -> tuple[np.ndarray, np.ndarray]:
