@@ -23,6 +23,7 @@ RULES = ("laplace-dirichlet", "uac")
 # Spacing of the triangles that coordinates are laid on, whatever the cells. On the cells' own nodes the lines of the coordinates,
 # and with them the regions, follow the mesh: features of one atrium differed by up to 0.3 mm between 4 and 1.5 mm cells.
 FINE_MM = 1.0
+COARSEST_MM = 25.0  # mean edge; an atrium of larger triangles has no shape, and its fine ones would fill the memory
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,8 @@ def fine_layer_of(bundle: Bundle, side: int) -> Layer:
     """The same side in triangles of about FINE_MM, their points on the curved faces.
 
     Of a side in several parts the largest: cells kept as they were leave pieces of their cut faces beside the epicardium, where
-    harmonic coordinates have no boundary values. Raises AnatomyError where the side has no triangle.
+    harmonic coordinates have no boundary values. Raises AnatomyError where the side has no triangle, or triangles of no atrium's
+    size.
     """
     chosen, vessel = _faces(bundle, side)
     if len(chosen) == 0:
@@ -111,8 +113,11 @@ def fine_layer_of(bundle: Bundle, side: int) -> Layer:
         chosen, vessel = chosen[largest], vessel[largest]
     faces = bundle.triangles[chosen]
     edge = bundle.points[faces[:, [1, 2, 0]]] - bundle.points[faces[:, :3]]
+    length = float(np.linalg.norm(edge, axis=2).mean())
+    if length > COARSEST_MM:
+        raise AnatomyError(f"the wall's triangles are {length:.0f} mm long; are the lengths micrometres? The bundle is in mm.")
     # an even number along each edge: the nodes at the middles are among the points
-    k = max(2, 2 * round(float(np.linalg.norm(edge, axis=2).mean()) / (2.0 * FINE_MM)))
+    k = max(2, 2 * round(length / (2.0 * FINE_MM)))
     fine = subdivision.subdivide(bundle.points, faces, k)
     return Layer(fine.points, fine.triangles, vessel[fine.source], chosen[fine.source], fine.node)
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from lacli.anatomy import cells
-from lacli.anatomy.bundle import OPENINGS, OTHER, PLANES, REGIONS, RINGS, Bundle, check, load, save
-from lacli.anatomy.coordinates import describe
+from lacli.anatomy.bundle import ENDO, OPENINGS, OTHER, PLANES, REGIONS, RINGS, Bundle, check, load, save
+from lacli.anatomy.coordinates import describe, fine_layer_of
 from lacli.anatomy.shell import frame_of, mesh_shell
 from lacli.anatomy.surface import Surface, defects
 from lacli.anatomy.synthetic import cavity, signed_distance, sized, synthesize
@@ -82,6 +82,15 @@ def test_a_loose_piece_of_the_epicardium_has_the_values_around_it(made: tuple[Bu
     whole, pieces = describe(bundle).bundle, describe(replace(bundle, tags=tags)).bundle
     assert pieces.uac == pytest.approx(whole.uac, abs=1e-8)
     assert pieces.pericardium_coordinate == pytest.approx(whole.pericardium_coordinate, abs=1e-8)
+
+
+def test_a_wall_in_micrometres_is_refused() -> None:
+    corner = np.array([[0.0, 0, 0], [30, 0, 0], [0, 30, 0], [0, 0, 30]])
+    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+    one = Bundle(corner, np.array([[0, 1, 2, 3]]), np.array([1]), faces, np.full(4, ENDO))
+    assert len(fine_layer_of(replace(one, points=corner / 10), ENDO).triangles) == 4 * 4**2
+    with pytest.raises(AnatomyError, match="micrometres"):
+        fine_layer_of(one, ENDO)
 
 
 def places(bundle: Bundle) -> tuple[np.ndarray, np.ndarray]:
