@@ -139,8 +139,10 @@ def coordinates(parts: Parts, line: Line | None = None) -> FloatArray:
             keep = in_wall[ids]
             solved.append(laplace.solve(wall, (ids[keep], fixed[keep])))
         walls[name] = solved
-    alpha = 1.0 - np.where(back, walls["posterior"][0], walls["anterior"][0])
-    beta = np.where(back, 0.5 * walls["posterior"][1], 1.0 - 0.5 * walls["anterior"][1])
+    # where two ways to a landmark begin as one, the line has an end within the posterior wall: the anterior has no value there
+    behind_only = back | ~np.isfinite(walls["anterior"][0])
+    alpha = 1.0 - np.where(behind_only, walls["posterior"][0], walls["anterior"][0])
+    beta = np.where(behind_only, 0.5 * walls["posterior"][1], 1.0 - 0.5 * walls["anterior"][1])
     return np.column_stack([alpha, beta])
 
 

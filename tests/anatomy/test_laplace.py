@@ -62,7 +62,7 @@ def test_a_flat_cell_and_an_empty_boundary_are_refused() -> None:
 
 def test_a_part_without_a_boundary_value_is_refused() -> None:
     points, tets = box(3)
-    both = np.vstack([points, points + [5.0, 0, 0]])
+    both = np.vstack([points, points + np.array([5.0, 0, 0])])
     matrix = laplace.stiffness(laplace.gradient(both, np.vstack([tets, tets + len(points)])), len(both))
     ends = {0.0: np.flatnonzero(points[:, 0] == 0), 1.0: np.flatnonzero(points[:, 0] == 1)}
     with pytest.raises(AnatomyError, match="not connected to any boundary value"):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lacli.anatomy import cells
+from lacli.anatomy import cells, paths, uac
 from lacli.anatomy.bundle import ENDO, OPENINGS, OTHER, PLANES, REGIONS, RINGS, Bundle, check, load, save
 from lacli.anatomy.coordinates import describe, fine_layer_of
 from lacli.anatomy.shell import frame_of, mesh_shell
@@ -82,6 +82,28 @@ def test_a_loose_piece_of_the_epicardium_has_the_values_around_it(made: tuple[Bu
     whole, pieces = describe(bundle).bundle, describe(replace(bundle, tags=tags)).bundle
     assert pieces.uac == pytest.approx(whole.uac, abs=1e-8)
     assert pieces.pericardium_coordinate == pytest.approx(whole.pericardium_coordinate, abs=1e-8)
+
+
+def test_a_side_line_that_ends_within_the_posterior_wall_leaves_no_hole(made: tuple[Bundle, Motion]) -> None:
+    layer = fine_layer_of(made[0], ENDO)
+    rims = paths.loops(paths.open_edges(layer.triangles))
+    mitral = max(rims, key=lambda loop: paths.perimeter(layer.points, loop))
+    parts = uac.Parts(layer.points, layer.triangles, layer.vessel, mitral)
+    way = paths.Ways.over(layer.points, layer.triangles).path
+    plain = uac.coordinates(parts, way)
+    aside = int(np.argmin(np.linalg.norm(plain - [0.9, 0.2], axis=1)))
+    spur = way(aside, np.flatnonzero(plain[:, 0] == 1.0))
+    assert len(spur) > 4
+
+    def spurred(start: int, goals: np.ndarray | int) -> np.ndarray:
+        path = way(start, goals)
+        return np.append(path, spur) if np.ndim(goals) and plain[start, 0] > 0.5 else path
+
+    bent = uac.coordinates(parts, spurred)
+    assert np.isfinite(bent).all()
+    # the line's end is as far up the posterior wall as it was, and on the lateral side
+    assert bent[aside, 1] == pytest.approx(plain[aside, 1], abs=0.1)
+    assert bent[aside, 0] == 1.0
 
 
 def test_a_wall_in_micrometres_is_refused() -> None:
