@@ -94,6 +94,10 @@ class Ways:
 
     def line(self, start: int, goals: IntArray | int) -> FloatArray:
         """The shortest way (k, 3) mm from point ``start`` to the nearest of ``goals``."""
+        return self.place[self._nearest(start, goals)]
+
+    def _nearest(self, start: int, goals: IntArray | int) -> IntArray:
+        """Ids in ``place`` of the shortest way from point ``start`` to the nearest of ``goals``."""
         ends = np.unique(np.atleast_1d(np.asarray(goals, dtype=np.int64)))
         # no way is longer than the one along the edges: nothing further off needs a look
         far = float(dijkstra(self.along, directed=False, indices=start)[ends].min())
@@ -102,13 +106,12 @@ class Ways:
         distance, before = dijkstra(
             self.across, directed=False, indices=start, return_predecessors=True, limit=far * (1.0 + 1e-9)
         )
-        return self.place[_walk_back(before, start, int(ends[np.argmin(distance[ends])]))]
+        return _walk_back(before, start, int(ends[np.argmin(distance[ends])]))
 
     def path(self, start: int, goals: IntArray | int) -> IntArray:
         """Point ids of the edge path from ``start`` to one of ``goals`` that keeps nearest to the shortest way there."""
-        way = self.line(start, goals)
-        ends = np.atleast_1d(np.asarray(goals, dtype=np.int64))
-        end = int(ends[np.argmin(np.linalg.norm(self.points[ends] - way[-1], axis=1))])
+        ids = self._nearest(start, goals)
+        end, way = int(ids[-1]), self.place[ids]
         fine = np.vstack([way[:-1] + s * np.diff(way, axis=0) for s in (0.0, 0.25, 0.5, 0.75)] + [way[-1:]])
         # the triangles that the way crosses are within an edge of it: how far off points beyond two are does not matter
         beyond = 2.0 * float(self.length.max())

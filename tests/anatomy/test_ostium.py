@@ -45,3 +45,10 @@ def test_lines_over_a_coarse_mesh_are_straight() -> None:
     assert path[0] == start and path[-1] == end
     # the edge path keeps within one cell of the diagonal x + y = 10; plain edge paths may take the corner
     assert np.abs(points[path, :2].sum(axis=1) - 10.0).max() <= 1.0 + 1e-9
+
+
+def test_a_line_ends_at_the_goal_it_reaches_not_at_another_in_the_same_place() -> None:
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0], [2, 0, 0], [1, 1, 0]])
+    way = paths.Ways.over(points, np.array([[0, 1, 2], [3, 4, 5]]))
+    assert way.path(0, np.array([1, 3])).tolist() == [0, 1]
+    assert way.path(4, np.array([1, 3])).tolist() == [4, 3]
