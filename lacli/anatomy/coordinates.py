@@ -151,12 +151,14 @@ def cell_behind(bundle: Bundle, faces: IntArray) -> IntArray:
 
 
 def _rim(layer: Layer, name: str) -> IntArray:
+    """Points (k,) of a vein's open rim: of those that its triangles reach the one they surround."""
     inside = layer.vessel == name
     if not inside.any():
         raise AnatomyError(f"the wall has no ring of {name.upper()}; coordinates need the rings of four veins.")
-    open_ids = np.unique(paths.open_edges(layer.triangles))
-    rim = np.intersect1d(open_ids, np.unique(layer.triangles[inside]))
-    if len(rim) < 3:
+    own = np.unique(layer.triangles[inside])
+    share = [(float(np.isin(loop, own).mean()), loop) for loop in paths.loops(paths.open_edges(layer.triangles))]
+    most, rim = max(share, key=lambda one: one[0], default=(0.0, own))
+    if most <= 0.5:
         raise AnatomyError(f"the ring of {name.upper()} has no open rim.")
     return rim
 

@@ -10,7 +10,7 @@ import pytest
 
 from lacli.anatomy import cells, paths, uac
 from lacli.anatomy.bundle import ENDO, OPENINGS, OTHER, PLANES, REGIONS, RINGS, Bundle, check, load, save
-from lacli.anatomy.coordinates import describe, fine_layer_of
+from lacli.anatomy.coordinates import Layer, _rim, describe, fine_layer_of
 from lacli.anatomy.shell import frame_of, mesh_shell
 from lacli.anatomy.surface import Surface, defects
 from lacli.anatomy.synthetic import cavity, signed_distance, sized, synthesize
@@ -104,6 +104,23 @@ def test_a_side_line_that_ends_within_the_posterior_wall_leaves_no_hole(made: tu
     # the line's end is as far up the posterior wall as it was, and on the lateral side
     assert bent[aside, 1] == pytest.approx(plain[aside, 1], abs=0.1)
     assert bent[aside, 0] == 1.0
+
+
+def test_rims_one_triangle_apart_are_two_rims() -> None:
+    # 11 x 8 squares of 1 mm in halves; holes of 3 x 2 from x = 2 and x = 6, the column between them all the right vein's
+    n = np.arange(11 * 8)
+    x, y = n % 11, n // 11
+    low = x + 12 * y
+    triangles = np.vstack([np.column_stack([low, low + 1, low + 13]), np.column_stack([low, low + 13, low + 12])])
+    first, second = ((x >= left) & (x < left + 3) & (y >= 3) & (y < 5) for left in (2, 6))
+    vessel = np.where((x > 0) & (x < 6) & (y > 1) & (y < 6), "rspv", np.where((x > 5) & (x < 10) & (y > 1) & (y < 6), "lipv", ""))
+    left = np.tile(~(first | second), 2)
+    points = np.column_stack([np.arange(12 * 9) % 12, np.arange(12 * 9) // 12, np.zeros(12 * 9)]).astype(np.float64)
+    layer = Layer(points, triangles[left], np.tile(vessel, 2)[left], np.zeros(int(left.sum()), dtype=np.int64), np.arange(108))
+    for name, start in (("rspv", 2), ("lipv", 6)):
+        rim = points[_rim(layer, name)]
+        assert len(rim) == 10
+        assert rim.min(axis=0).tolist() == [start, 3, 0] and rim.max(axis=0).tolist() == [start + 3, 5, 0]
 
 
 def test_a_wall_in_micrometres_is_refused() -> None:
