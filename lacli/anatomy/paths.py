@@ -58,7 +58,7 @@ class Ways:
     """A surface ready for lines over it: straight across triangles, not only along their edges.
 
     An edge path on a coarse mesh goes round by up to a sixth of its length, and which way round is the mesh's accident; here
-    every edge has STEINER points more, joined within each triangle, which makes lengths right within about 1 %.
+    every edge has STEINER points more, joined within each triangle, which makes lengths right within 3 %, on average 1 %.
     """
 
     points: FloatArray

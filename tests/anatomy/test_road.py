@@ -18,12 +18,13 @@ from lacli.anatomy import (
     fibres,
     image,
     landmarks,
+    laplace,
     meshfile,
     regions,
     synthetic,
     synthetic_image,
 )
-from lacli.anatomy.bundle import OPENINGS, PLANES, REGIONS, check, load, save
+from lacli.anatomy.bundle import EPI, OPENINGS, PLANES, REGIONS, check, load, save
 from lacli.errors import AnatomyError
 
 SEED = 2
@@ -93,6 +94,13 @@ def test_coordinates_run_from_0_to_1_and_fibres_are_tangent(built: build.Built) 
     body = bundle.region < 10
     in_roof = bundle.region == REGIONS["roof"]
     assert top[in_roof].mean() > 0.85 and (top & body & ~in_roof).sum() < 0.05 * in_roof.sum()
+    # harmonic between them: as on the outside's own nodes, for as much as these are coarser
+    outside = coordinates.layer_of(bundle, EPI)
+    matrix = laplace.stiffness(laplace.gradient(outside.points, outside.triangles), len(outside.points))
+    nodes = np.unique(outside.triangles)
+    xi = bundle.pericardium_coordinate[nodes]
+    ends = {0.0: nodes[xi < 1e-9], 1.0: nodes[xi > 1.0 - 1e-9]}
+    assert np.abs(laplace.solve(matrix, ends)[nodes] - xi).mean() < 0.01
     # round the mitral rim fibres follow it: across the valve's axis
     normal = built.landmarks.openings["mv"].normal
     assert np.median(np.abs(bundle.fibre[bundle.region == 11] @ normal)) < 0.35
