@@ -139,7 +139,7 @@ class Numerics(_Frozen):
     """
 
     order: Literal[1, 2] = 2
-    quadrature: Literal["4", "14"] = "4"
+    quadrature: Literal[4, 14] = 4
     kappa_points_kpa: NonNegative = 100.0
     unloading: Literal["prestrain", "backward"] = "prestrain"
     settle_ed: bool = False

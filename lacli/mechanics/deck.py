@@ -52,7 +52,7 @@ def render(scene: Scene, plan: Plan, plugin: Path | None) -> str:
         plan=plan,
         phases=plan.phases,
         order=numerics.order,
-        points=int(numerics.quadrature),
+        points=numerics.quadrature,
         tolerance=numerics.tolerance_mm,
         max_newton=numerics.max_newton,
         settle_ed=numerics.settle_ed,

@@ -13,7 +13,7 @@ from lacli.mechanics.simulation import OnProgress, run_scene
 from lacli.scene import Anatomy, Scene
 
 FEATURES = ("esv_ml", "d_global_mm", "d_anterior_mm", "d_posterior_mm", "d_septum_mm", "d_lateral_mm", "d_roof_mm")
-CHOICES: tuple[tuple[int, str], ...] = ((1, "4"), (2, "4"), (2, "14"))
+CHOICES: tuple[tuple[int, int], ...] = ((1, 4), (2, 4), (2, 14))
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ def run_variants(scene: Scene, finer: Path | None, root: Path, on_progress: OnPr
     """Simulate the choices on the scene's mesh, and the default choice on a finer mesh of the same atrium if one is given."""
     plans = [("own", scene.anatomy.bundle, order, points) for order, points in CHOICES]
     if finer is not None:
-        plans.append(("finer", finer, 2, "4"))
+        plans.append(("finer", finer, 2, 4))
     for mesh, bundle, order, points in plans:
         numerics = scene.numerics.model_copy(update={"order": order, "quadrature": points})
         variant = scene.model_copy(update={"numerics": numerics, "anatomy": Anatomy(bundle=bundle)})

@@ -161,7 +161,7 @@ def test_both_engines_agree_at_a_disturbed_state(
         ("numerics.order=1", "pericardium.outward_only=true"),
         ("numerics.order=1", "numerics.unloading=backward"),
         ("numerics.order=2",),
-        pytest.param(("numerics.order=2", "pericardium.outward_only=true", 'numerics.quadrature="14"'), marks=pytest.mark.slow),
+        pytest.param(("numerics.order=2", "pericardium.outward_only=true", "numerics.quadrature=14"), marks=pytest.mark.slow),
     ],
 )
 def test_both_engines_reach_the_same_features(freefem: FreeFem, folder: Path, tmp_path: Path, settings: tuple[str, ...]) -> None:
