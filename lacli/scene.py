@@ -135,7 +135,9 @@ class Numerics(_Frozen):
     ``unloading``: "prestrain" gives the wall the strain that balances EDP in the image itself; "backward" looks for an unloaded
     shape by backward displacement. ``settle_ed``: where the image's shape is no stable equilibrium, let the wall settle into
     the nearest stable one before the reservoir phase. ``engine``: what assembles and solves: the compiled "plugin", the "script"
-    that needs no C++ compiler and gives the same numbers, or "auto", the plugin where it can be built.
+    that needs no C++ compiler and gives the same numbers, or "auto", the plugin where it can be built. ``max_newton``: steps
+    at one load before it is shortened; generous, since a soft wall that snaps through gets past its fold by going on at the
+    load it has, where shorter loads only come to the same fold again.
     """
 
     order: Literal[1, 2] = 2
@@ -147,7 +149,7 @@ class Numerics(_Frozen):
     unloading_volume_tolerance: Annotated[float, Field(gt=0, lt=0.2)] = 0.01
     unloading_max_sweeps: Annotated[int, Field(ge=1, le=100)] = 15
     tolerance_mm: Annotated[float, Field(gt=0, lt=0.1)] = 1e-4
-    max_newton: Annotated[int, Field(ge=5, le=500)] = 120
+    max_newton: Annotated[int, Field(ge=5, le=5000)] = 600
     timeout_s: Positive = 3600.0
 
 
