@@ -12,10 +12,11 @@ from shapes import cut_ball
 from lacli.anatomy import bundle as bundles
 from lacli.anatomy.bundle import Bundle
 from lacli.anatomy.shell import mesh_shell
+from lacli.anatomy.synthetic import synthesize
 from lacli.errors import AnatomyError, SceneError
 from lacli.mechanics import deck, engine, freefem, inputs, plan, simulation
 from lacli.mechanics.features import cavity_volume_ml, displacements_mm, regional_extras
-from lacli.motion.annulus import scene_motion
+from lacli.motion.annulus import save_motion, scene_motion
 from lacli.scene import Scene, build_scene
 
 
@@ -131,6 +132,24 @@ def test_backward_displacement_returns_to_the_image(folder: Path, tmp_path: Path
     assert abs(result.features["ed_volume_error"]) < 0.01
     assert result.features["ed_shape_error_mean_mm"] < 0.3
     assert result.features["unloaded_volume_ml"] < result.features["edv_ml"] < result.features["esv_ml"]
+
+
+def test_a_wall_that_snaps_through_arrives_at_the_load_it_has(tmp_path: Path) -> None:
+    """Soft and regionally uneven, from 1 to 13 mmHg: the way is long and has folds, which shorter loads would meet again."""
+    made, motion = synthesize(1, None, cell_size_mm=8.0, order=1)
+    bundles.save(made, tmp_path / "bundle")
+    save_motion(motion, tmp_path / "bundle")
+    soft = {"anterior": 0.2, "posterior": 0.2, "septum": 6.8, "lateral": 6.8, "roof": 6.8}
+    bendy = {"anterior": 0.125, "posterior": 4, "septum": 4, "lateral": 0.125, "roof": 0.125}
+    settings = [f"materials.c_kpa.{name}={value}" for name, value in soft.items()]
+    settings += [f"materials.alpha.{name}={value}" for name, value in bendy.items()]
+    settings += ["loads.edp_mmhg=1", "loads.esp_mmhg=13", "pericardium.k_peri_kpa_per_um=0.0001", "pericardium.pth=0.5"]
+    settings += ["numerics.order=1", "outputs.fields=none", "outputs.unloaded=false"]
+    chosen = build_scene({"anatomy": {"bundle": "bundle"}}, settings, folder=tmp_path, where="test")
+    features = simulation.run_scene(chosen, tmp_path / "runs").features
+    assert features["steps_back"] == 0 and features["load_steps"] == 2
+    assert features["newton_iterations"] > 50  # else this is no such way
+    assert features["es_unstable_modes"] == 0
 
 
 def test_out_of_time_in_the_unloaded_state_loses_that_state_alone(folder: Path, tmp_path: Path, monkeypatch) -> None:
