@@ -14,31 +14,20 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from lacli.anatomy import (
-    build,
-    clipping,
-    extraction,
-    fat,
-    fibres,
-    image,
-    ostium,
-    paths,
-    quality,
-    regions,
-    repair,
-    shell,
-    subdivision,
-    synthetic,
-    synthetic_image,
-    tagged,
-    thickness,
-    uac,
-)
-from lacli.anatomy.bundle import OPENINGS, PLANES
-from lacli.anatomy.cut import Cut
-from lacli.anatomy.landmarks import Landmarks, Opening
-from lacli.anatomy.surface import Surface
-from lacli.anatomy.synthetic_shape import Shape
+from lacli.anatomy import build, quality
+from lacli.anatomy.coordinates import fibres, regions, uac
+from lacli.anatomy.inputs import extraction, image, repair, tagged
+from lacli.anatomy.openings import clipping, ostium
+from lacli.anatomy.openings.cut import Cut
+from lacli.anatomy.openings.landmarks import Landmarks, Opening
+from lacli.anatomy.wall import fat, shell, thickness
+from lacli.contracts.labels import OPENINGS, PLANES
+from lacli.geometry import curves as paths
+from lacli.geometry import subdivision
+from lacli.geometry.surface import Surface
+from lacli.synthetic import atrium as synthetic
+from lacli.synthetic import image as synthetic_image
+from lacli.synthetic.shape import Shape
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -310,7 +299,7 @@ def vein_names(shape: Shape, found: Landmarks) -> bool:
 
 def same_region(truth, own) -> float:  # type: ignore[no-untyped-def]
     """Share of the truth's wall volume (regions 1 - 5) whose nearest cell of ours, a body cell too, has the same region."""
-    from lacli.anatomy.cells import volumes
+    from lacli.geometry.tetrahedra import volumes
 
     bodies = [b.region < 10 for b in (truth, own)]
     centre = [b.points[b.tets[m, :4]].mean(axis=1) for b, m in zip((truth, own), bodies, strict=True)]

@@ -12,12 +12,12 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from lacli.anatomy import bundle as bundles
-from lacli.anatomy.synthetic import synthesize
 from lacli.cli.console import print_json, print_table
+from lacli.contracts import bundle as bundles
+from lacli.contracts.motion import save_motion
+from lacli.contracts.scene import build_scene
 from lacli.mechanics.simulation import run_scene
-from lacli.motion.annulus import save_motion
-from lacli.scene import build_scene
+from lacli.synthetic.atrium import synthesize
 
 ENGINES = ("plugin", "script")
 AGREEMENT = 1e-6

@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import qmc
 
-from lacli.anatomy import bundle as bundles
-from lacli.anatomy.synthetic import synthesize
-from lacli.execute import run_scenes
-from lacli.motion.annulus import save_motion
-from lacli.scene import build_scene, parameter_box, with_parameters
+from lacli.contracts import bundle as bundles
+from lacli.contracts.motion import save_motion
+from lacli.contracts.scene import build_scene, parameter_box, with_parameters
+from lacli.mechanics.execute import run_scenes
+from lacli.synthetic.atrium import synthesize
 
 
 def main() -> None:

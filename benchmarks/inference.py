@@ -21,17 +21,17 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import qmc
 
+from lacli.contracts.table import RunTable, read_runs
+from lacli.contracts.targets import Targets
 from lacli.inference.box import make_box
 from lacli.inference.design import design
-from lacli.inference.emulator import fit_emulator, fit_emulators
-from lacli.inference.emulator_set import EmulatorSet
+from lacli.inference.emulation.emulator import fit_emulator, fit_emulators
+from lacli.inference.emulation.emulator_set import EmulatorSet
+from lacli.inference.emulation.validation import cross_validate
 from lacli.inference.likelihood import Density, gaussian_log_likelihood
 from lacli.inference.matching import Region, Wave, sweep
 from lacli.inference.posterior import Settings, diagnostics, sample_posterior
 from lacli.inference.sensitivity import emulator_indices, function_indices, saltelli_sample, sobol_indices
-from lacli.inference.table import RunTable, read_runs
-from lacli.inference.targets import Targets
-from lacli.inference.validation import cross_validate
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "emulation_cardiac5"
 

@@ -13,12 +13,11 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from lacli.mechanics.verification_laws import B, guccione_exponent, guccione_stress
+from lacli.base.arrays import FloatArray
+from lacli.verification.laws import B, guccione_exponent, guccione_stress
 
-FloatArray = NDArray[np.float64]
 FIBRE = np.array([1.0, 0.0, 0.0])
 # an orthonormal basis (5, 3, 3) of symmetric matrices without trace
 TRACELESS = np.array(

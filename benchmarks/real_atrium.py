@@ -17,13 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from lacli.anatomy import bundle as bundles
-from lacli.anatomy.bundle import REGIONS
-from lacli.anatomy.tagged import read_tagged
+from lacli.anatomy.inputs.tagged import read_tagged
+from lacli.contracts import bundle as bundles
+from lacli.contracts.labels import REGIONS
+from lacli.contracts.motion import save_motion
+from lacli.contracts.scene import build_scene
 from lacli.mechanics.features import endocardial_regions, triangle_shapes
 from lacli.mechanics.simulation import run_scene
-from lacli.motion.annulus import descend, save_motion
-from lacli.scene import build_scene
+from lacli.motion.annulus import descend
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "la_rodero01"
 FEATURES = ("esv_ml", "d_global_mm", *(f"d_{name}_mm" for name in REGIONS))

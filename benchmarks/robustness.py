@@ -21,10 +21,11 @@ from pathlib import Path
 
 import numpy as np
 
-from lacli.anatomy.bundle import ENDO, OTHER, Bundle, load, save
-from lacli.anatomy.synthetic import synthesize
 from lacli.cli.console import print_json, print_table
+from lacli.contracts.bundle import Bundle, load, save
+from lacli.contracts.labels import ENDO, OTHER
 from lacli.motion.annulus import FILE as MOTION
+from lacli.synthetic.atrium import synthesize
 
 LACLI = [sys.executable, "-c", "from lacli.cli.main import run; run()"]
 # small and quick: what is judged here is not the mechanics

@@ -9,11 +9,11 @@ import argparse
 import itertools
 from pathlib import Path
 
-from lacli.anatomy import bundle as bundles
-from lacli.anatomy.synthetic import synthesize
+from lacli.contracts import bundle as bundles
+from lacli.contracts.motion import save_motion
+from lacli.contracts.scene import build_scene
 from lacli.mechanics.simulation import run_scene
-from lacli.motion.annulus import save_motion
-from lacli.scene import build_scene
+from lacli.synthetic.atrium import synthesize
 
 # name, wall (mm), cells (mm), overrides
 CASES: tuple[tuple[str, float, float, tuple[str, ...]], ...] = (

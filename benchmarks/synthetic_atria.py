@@ -8,11 +8,11 @@ from __future__ import annotations
 import sys
 import time
 
-from lacli.anatomy import cells
-from lacli.anatomy.bundle import Bundle, check
-from lacli.anatomy.synthetic import synthesize
-from lacli.anatomy.synthetic_shape import cohort_volume
-from lacli.errors import AnatomyError
+from lacli.base.errors import AnatomyError
+from lacli.contracts.bundle import Bundle, check
+from lacli.geometry import tetrahedra as cells
+from lacli.synthetic.atrium import synthesize
+from lacli.synthetic.shape import cohort_volume
 
 LINE = "{:<34}{:>9}{:>11}{:>9}{:>9}{:>9}{:>10}{:>9}"
 

@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from lacli.errors import SimulationError
-from lacli.mechanics import verification
-from lacli.mechanics import verification_problems as meshes
-from lacli.mechanics.verification_equilibria import (
+from lacli.base.errors import SimulationError
+from lacli.verification import meshes
+from lacli.verification import problems as verification
+from lacli.verification.equilibria import (
     BEAM_MOVED,
     ELLIPSOID_APICES,
     ELLIPSOID_VOLUME,
@@ -25,7 +25,7 @@ from lacli.mechanics.verification_equilibria import (
     solve_ellipsoid,
     solve_sphere,
 )
-from lacli.mechanics.verification_runs import Solution
+from lacli.verification.runs import Solution
 
 # CPU seconds (whole process, one thread) in which other codes come within 0.02 mm of problems 1 and 2
 OTHERS = {"beam": {"dolfinx 0.5": 7.7, "pulse": 8.9, "ngsolve": 8.0, "felupe": 15.7}}

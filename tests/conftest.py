@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from lacli.errors import SolverMissingError
-from lacli.mechanics.freefem import FreeFem, find
-from lacli.scene import Scene, build_scene
+from lacli.base.errors import SolverMissingError
+from lacli.contracts.scene import Scene, build_scene
+from lacli.freefem.program import FreeFem, find
 
 # started in the background, Python finds Ctrl-C ignored and would pass that on to everything the tests start
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -15,8 +15,10 @@ import pyvista as pv
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lacli.anatomy.bundle import ENDO, EPI, OTHER, PLANES, TET10_EDGES, Bundle, check, load, save
-from lacli.errors import AnatomyError
+from lacli.base.errors import AnatomyError
+from lacli.contracts.bundle import Bundle, check, load, save
+from lacli.contracts.labels import ENDO, EPI, OTHER, PLANES
+from lacli.geometry.tetrahedra import TET10_EDGES
 
 
 def hollow_cube(size: float = 30.0) -> Bundle:

@@ -15,11 +15,11 @@ from typing import Any
 
 import pytest
 
-from lacli import execute
-from lacli.errors import StorageError, UsageError
-from lacli.execute import run_scenes
-from lacli.scene import Scene, dump_scene
-from lacli.store import list_runs, open_run
+from lacli.base.errors import StorageError, UsageError
+from lacli.contracts.scene import Scene, dump_scene
+from lacli.mechanics import execute
+from lacli.mechanics.execute import run_scenes
+from lacli.mechanics.store import list_runs, open_run
 
 SceneOf = Callable[..., Scene]
 
@@ -120,8 +120,8 @@ SERIES = """
 import sys
 sys.path.insert(0, {tests!r})
 from pathlib import Path
-from lacli.execute import run_scenes
-from lacli.scene import load_scene
+from lacli.mechanics.execute import run_scenes
+from lacli.contracts.scene import load_scene
 from test_execute import stored
 if __name__ == "__main__":
     scenes = [load_scene(Path({scene!r}), [f"loads.edp_mmhg={{p}}"]) for p in (0.1, 8)]

@@ -11,17 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lacli.errors import SceneError
-from lacli.scene import (
-    BODY_REGIONS,
-    Scene,
-    build_scene,
-    content_hash,
-    dump_scene,
-    load_scene,
-    parameter_box,
-    with_parameters,
-)
+from lacli.base.errors import SceneError
+from lacli.contracts.identity import content_hash
+from lacli.contracts.labels import BODY_REGIONS
+from lacli.contracts.scene import Scene, build_scene, dump_scene, load_scene, parameter_box, with_parameters
 
 HERE = Path("/somewhere")
 

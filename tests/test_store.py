@@ -14,10 +14,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lacli import store
-from lacli.errors import AnatomyError, StorageError
-from lacli.scene import Scene, dump_scene, load_scene
-from lacli.store import check_file, check_folder, find_run, list_runs, open_run, replacing, run_key, write_json, write_text
+from lacli.base import files
+from lacli.base.errors import AnatomyError, StorageError
+from lacli.base.files import check_file, check_folder, replacing, write_json, write_text
+from lacli.contracts import identity
+from lacli.contracts.identity import run_key
+from lacli.contracts.scene import Scene, dump_scene, load_scene
+from lacli.mechanics import store
+from lacli.mechanics.store import find_run, list_runs, open_run
 
 SceneOf = Callable[..., Scene]
 
@@ -54,7 +58,7 @@ def test_key_changes_with_scene_bundle_motion_and_solver(
     keys.append(run_key(scene))
     np.savez(bundle / "motion.npz", times=np.arange(3.0) + 1e-12)
     keys.append(run_key(scene))
-    monkeypatch.setattr(store, "solver_digest", lambda: "other")
+    monkeypatch.setattr(identity, "solver_digest", lambda: "other")
     keys.append(run_key(scene))
     assert len(set(keys)) == len(keys)
 
@@ -63,12 +67,12 @@ def test_a_run_does_not_depend_on_the_emulators_kernel(tmp_path: Path, monkeypat
     for name in ("templates/deck.edp.j2", "solvers/freefem/laws.idp", "solvers/emulator/moments.cpp"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("one")
-    monkeypatch.setattr(store, "resource_folder", lambda name: tmp_path / name)
-    before = store.solver_digest.__wrapped__()
+    monkeypatch.setattr(identity, "resource_folder", lambda name: tmp_path / name)
+    before = identity.solver_digest.__wrapped__()
     (tmp_path / "solvers/emulator/moments.cpp").write_text("another")
-    assert store.solver_digest.__wrapped__() == before
+    assert identity.solver_digest.__wrapped__() == before
     (tmp_path / "solvers/freefem/laws.idp").write_text("another")
-    assert store.solver_digest.__wrapped__() != before
+    assert identity.solver_digest.__wrapped__() != before
 
 
 def test_motion_counts_by_its_arrays_and_is_never_unpickled(scene_of: SceneOf) -> None:
@@ -163,8 +167,8 @@ def test_interruption_leaves_nothing(scene_of: SceneOf, tmp_path: Path, error: t
 HOLD = """
 import sys, time
 from pathlib import Path
-from lacli.scene import load_scene
-from lacli.store import open_run
+from lacli.contracts.scene import load_scene
+from lacli.mechanics.store import open_run
 with open_run(Path(sys.argv[1]), load_scene(Path(sys.argv[2]))) as run:
     print("stored" if run.stored else "open", flush=True)
     if run.stored is None:
@@ -282,7 +286,7 @@ def test_atomic_text_keeps_the_old_one_on_error(tmp_path: Path) -> None:
     assert [path.name for path in file.parent.iterdir()] == ["table.csv"]
     write_json(file, {"a": np.float64(1.5), "b": np.arange(2), "c": tmp_path})
     assert json.loads(file.read_text()) == {"a": 1.5, "b": [0, 1], "c": str(tmp_path)}
-    assert file.stat().st_mode & 0o777 == 0o666 & ~store._umask()
+    assert file.stat().st_mode & 0o777 == 0o666 & ~files._umask()
 
 
 def test_times_are_recorded(scene_of: SceneOf, tmp_path: Path) -> None:

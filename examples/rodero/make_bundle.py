@@ -5,9 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from lacli.anatomy.bundle import check, save
-from lacli.anatomy.tagged import read_tagged
-from lacli.motion.annulus import descend, save_motion
+from lacli.anatomy.inputs.tagged import read_tagged
+from lacli.contracts.bundle import check, save
+from lacli.contracts.motion import save_motion
+from lacli.motion.annulus import descend
 
 
 def main() -> None:

@@ -10,17 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from lacli.anatomy import branches, clipping, coordinates, extraction, landmarks, ostium
-from lacli.anatomy.bundle import OPENINGS, PLANES, Bundle
-from lacli.anatomy.image import Image
-from lacli.anatomy.landmarks import LPS, Axes, Landmarks, Opening
-from lacli.anatomy.mitral import lv_contact, mitral_from_contact, mitral_from_shape
-from lacli.anatomy.repair import Repaired, voxels
-from lacli.anatomy.shell import mesh_shell
-from lacli.anatomy.surface import Surface
-from lacli.errors import AnatomyError
+from lacli.anatomy.coordinates import describe as coordinates
+from lacli.anatomy.inputs import extraction
+from lacli.anatomy.inputs.image import Image
+from lacli.anatomy.inputs.repair import Repaired, voxels
+from lacli.anatomy.openings import branches, clipping, landmarks, ostium
+from lacli.anatomy.openings.landmarks import LPS, Axes, Landmarks, Opening
+from lacli.anatomy.openings.mitral import lv_contact, mitral_from_contact, mitral_from_shape
+from lacli.anatomy.wall.shell import mesh_shell
+from lacli.base.arrays import FloatArray
+from lacli.base.errors import AnatomyError
+from lacli.contracts.bundle import Bundle
+from lacli.contracts.labels import OPENINGS, PLANES
+from lacli.geometry.surface import Surface
 
-FloatArray = NDArray[np.float64]
 Say = Callable[[str], None]
 LEAST_WALL_MM = 1.0
 LEAST_VALVE_MM = 50.0  # rim length

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lacli.anatomy.bundle import ENDO, EPI, OPENINGS, PLANES, REGIONS, RINGS, Bundle
-from lacli.anatomy.surface import Surface
+from lacli.base.arrays import FloatArray
+from lacli.contracts.bundle import Bundle
+from lacli.contracts.labels import ENDO, EPI, OPENINGS, PLANES, REGIONS, RINGS
+from lacli.geometry.surface import Surface
 
 # off screen rendering must not look for an X server
 os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
 
-FloatArray = NDArray[np.float64]
 
 # colour-blind safe (Okabe and Ito 2008); rings grey, planes pale
 COLOURS = {"anterior": "#0072B2", "posterior": "#E69F00", "septum": "#009E73", "lateral": "#CC79A7", "roof": "#F0E442"}
@@ -36,8 +37,8 @@ def polydata(surface: Surface) -> Any:
 
 
 def _boundary(bundle: Bundle, keep: NDArray[np.bool_]) -> Any:
-    from lacli.anatomy.coordinates import cell_label
-    from lacli.anatomy.subdivision import straight
+    from lacli.anatomy.coordinates.describe import cell_label
+    from lacli.geometry.subdivision import straight
 
     faces = bundle.triangles[keep]
     fine = straight(faces)
@@ -278,8 +279,8 @@ def square(bundle: Bundle, file: Path) -> None:
 
     if bundle.uac is None:
         return
-    from lacli.anatomy.coordinates import ENDO as inner
-    from lacli.anatomy.coordinates import cell_label, layer_of
+    from lacli.anatomy.coordinates.describe import ENDO as inner
+    from lacli.anatomy.coordinates.describe import cell_label, layer_of
 
     layer = layer_of(bundle, inner)
     label = cell_label(bundle, bundle.triangles[layer.source, :3])

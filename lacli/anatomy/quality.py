@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from lacli.anatomy import pictures
-from lacli.anatomy.bundle import REGIONS, RINGS, Bundle
-from lacli.anatomy.cells import curved_jacobian, scaled_jacobian
-from lacli.anatomy.cells import volumes as cell_volumes
-from lacli.anatomy.thickness import Thickness, of_bundle
+from lacli.anatomy.wall.thickness import Thickness, of_bundle
+from lacli.contracts.bundle import Bundle
+from lacli.contracts.labels import REGIONS, RINGS
+from lacli.geometry.tetrahedra import curved_jacobian, scaled_jacobian
+from lacli.geometry.tetrahedra import volumes as cell_volumes
 
 
 def measure(bundle: Bundle) -> tuple[dict[str, Any], Thickness]:
@@ -51,7 +52,7 @@ def measure(bundle: Bundle) -> tuple[dict[str, Any], Thickness]:
 
 def folded_share(bundle: Bundle) -> float:
     """Share of endocardial triangles that are turned over in the coordinate square (jumps across the side lines left out)."""
-    from lacli.anatomy.coordinates import ENDO, layer_of
+    from lacli.anatomy.coordinates.describe import ENDO, layer_of
 
     assert bundle.uac is not None
     corner = bundle.uac[layer_of(bundle, ENDO).triangles]
@@ -92,7 +93,7 @@ def write(report: dict[str, Any], folder: Path) -> None:
 
 def draw(folder: Path) -> Iterator[str]:
     """Draw the pictures of the bundle in ``folder`` into it, and name each when it is there."""
-    from lacli.anatomy.bundle import load
+    from lacli.contracts.bundle import load
 
     bundle = load(folder)
     thick = of_bundle(bundle)

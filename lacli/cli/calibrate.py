@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lacli.base.errors import UsageError
 from lacli.cli.console import err, out, print_json, print_table
 from lacli.cli.tables import BoxFile, Json, Seed
-from lacli.errors import UsageError
 
 if TYPE_CHECKING:
+    from lacli.calibration.calibration import Calibration, Monitor, Status
+    from lacli.contracts.targets import Targets
     from lacli.inference.box import Box
-    from lacli.inference.calibration import Calibration, Monitor, Status
-    from lacli.inference.targets import Targets
 
 
 def command(
@@ -59,8 +59,8 @@ def command(
 
     Example: lacli calibrate scene.toml --targets targets.toml --out patient_1
     """
+    from lacli.calibration.calibration import Settings, calibrate
     from lacli.inference.box import CALIBRATION_INPUTS, OUTPUTS, published_box, read_box
-    from lacli.inference.calibration import Settings, calibrate
     from lacli.inference.posterior import Settings as Sampling
     from lacli.inference.runs import RunLog
 
@@ -89,19 +89,19 @@ def command(
             result = _from_table(from_table, targets_file, box_file, settings, folder, monitor)
         _finish(result, folder, figures, as_json, time.monotonic() - begin, None)
         return
-    from lacli.cli.scenes import simulator
+    from lacli.calibration.simulator import simulator
 
     assert scene is not None
     run = simulator(scene, root or folder / "runs", workers, scheduler, overrides)
     if synthetic:
-        from lacli.inference.synthetic_truth import default_truth, verify
+        from lacli.calibration.synthetic_truth import default_truth, verify
 
         x = _truth(truth, box, default_truth(box))
         with _dashboard() as monitor:
             recoveries = verify(run, box, OUTPUTS, x, settings, folder, monitor)
         _show_recovery(recoveries, box, folder, figures, as_json, time.monotonic() - begin)
         return
-    from lacli.inference.targets import read_targets
+    from lacli.contracts.targets import read_targets
 
     assert targets_file is not None
     targets = read_targets(targets_file)
@@ -114,11 +114,11 @@ def command(
 def _from_table(
     path: Path, targets_file: Path, box_file: Path | None, settings: Any, folder: Path, monitor: Monitor
 ) -> Calibration:
+    from lacli.calibration.calibration import calibrate
+    from lacli.contracts.table import ERROR_SUFFIX, IGNORED, read_frame
+    from lacli.contracts.targets import read_targets
     from lacli.inference.box import RANGES, read_box, table_box
-    from lacli.inference.calibration import calibrate
     from lacli.inference.runs import RunLog
-    from lacli.inference.table import ERROR_SUFFIX, IGNORED, read_frame
-    from lacli.inference.targets import read_targets
 
     targets = read_targets(targets_file)
     frame = read_frame(path)
@@ -148,7 +148,7 @@ def _from_table(
 def _number(column: Any) -> Any:
     import pandas as pd
 
-    from lacli.errors import TableError
+    from lacli.base.errors import TableError
 
     values = pd.to_numeric(column, errors="coerce")
     if values.isna().any():
@@ -219,7 +219,7 @@ def _time(seconds: float) -> str:
 
 
 def _finish(result: Calibration, folder: Path, figures: bool, as_json: bool, wall_s: float, targets: Targets | None) -> None:
-    from lacli.inference.calibration import document
+    from lacli.calibration.calibration import document
 
     for note in dict.fromkeys(note for wave in result.waves for note in wave.notes):
         err.print(f"note: {note}", highlight=False, soft_wrap=True)
@@ -266,7 +266,7 @@ def _draw(result: Calibration, folder: Path, truth: Any) -> list[Path]:
 def _show_recovery(recoveries: list[Any], box: Box, folder: Path, figures: bool, as_json: bool, wall_s: float) -> None:
     import numpy as np
 
-    from lacli.inference.calibration import document
+    from lacli.calibration.calibration import document
 
     pictures: list[Path] = []
     if figures:

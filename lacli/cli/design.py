@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
+from lacli.base.errors import UsageError
 from lacli.cli.console import err, out, print_json, print_table, progress
 from lacli.cli.tables import BoxFile, Json, Seed
-from lacli.errors import UsageError
 
 
 def command(
@@ -38,9 +38,9 @@ def command(
     """
     import pandas as pd
 
+    from lacli.base.files import check_file, replacing
     from lacli.inference.box import CALIBRATION_INPUTS, OUTPUTS, SENSITIVITY_INPUTS, published_box, read_box
     from lacli.inference.design import METHODS, design
-    from lacli.store import check_file, replacing
 
     if method not in METHODS:
         raise UsageError(f"--method {method}: must be one of {', '.join(METHODS)}.")
@@ -54,7 +54,7 @@ def command(
         err.print(f"note: {note}", highlight=False, soft_wrap=True)
     failed = 0
     if scene is not None and run:
-        from lacli.cli.scenes import simulator
+        from lacli.calibration.simulator import simulator
         from lacli.inference.runs import RunLog
 
         log = RunLog(table.with_suffix(".csv"), box.names, (*OUTPUTS, "edv_ml"))
@@ -99,8 +99,8 @@ def _feasibility(runs: Path | None, box):  # type: ignore[no-untyped-def]
     """What earlier failures teach: (accept or None, sentence or empty)."""
     if runs is None:
         return None, ""
-    from lacli.inference.feasibility import FEWEST_FAILURES, learn
-    from lacli.inference.table import OK_STATUS, STATUS, input_values, read_frame
+    from lacli.contracts.table import OK_STATUS, STATUS, input_values, read_frame
+    from lacli.inference.emulation.feasibility import FEWEST_FAILURES, learn
 
     frame = read_frame(runs)
     missing = [name for name in (*box.names, STATUS) if name not in frame.columns]

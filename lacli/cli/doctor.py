@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from lacli.cli.console import err, out, print_json
-from lacli.installation import Check, inspect
+from lacli.mechanics.installation import Check, inspect
 
 _COLOUR = {"ok": "green", "missing": "bold red", "advice": "yellow"}
 

@@ -26,11 +26,11 @@ def command(
 
     Example: lacli emulate --inputs X.csv --outputs Y.csv --out emulators.npz
     """
-    from lacli.inference.emulator import fit_emulators
-    from lacli.inference.emulator_set import EmulatorSet, save_emulators
-    from lacli.inference.threads import one_thread
-    from lacli.inference.validation import cross_validate
-    from lacli.store import check_file
+    from lacli.base.files import check_file
+    from lacli.base.threads import one_thread
+    from lacli.inference.emulation.emulator import fit_emulators
+    from lacli.inference.emulation.emulator_set import EmulatorSet, save_emulators
+    from lacli.inference.emulation.validation import cross_validate
 
     check_file(file)
     table = read(inputs, outputs, names)

@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
+from lacli.base.errors import AnatomyError, UsageError
 from lacli.cli.console import out, print_json, print_table, progress
-from lacli.errors import AnatomyError, UsageError
 
 
 def command(
@@ -34,10 +34,11 @@ def command(
 
     Example: lacli fat ct.nii.gz --anatomy anatomy --labels heart.nii.gz --la 2 --out fat
     """
-    from lacli.anatomy import fat, image
-    from lacli.anatomy.bundle import load
+    from lacli.anatomy.inputs import image
+    from lacli.anatomy.wall import fat
+    from lacli.base.files import check_folder
     from lacli.cli.mesh import naming, storing
-    from lacli.store import check_folder
+    from lacli.contracts.bundle import load
 
     if bundle is None and labels is None:
         raise UsageError(
@@ -80,8 +81,8 @@ def command(
 def _pool(labels: Path | None, la: int | None, anatomy: Any) -> Any:
     import numpy as np
 
-    from lacli.anatomy import extraction, image
-    from lacli.anatomy.surface import Surface, compact
+    from lacli.anatomy.inputs import extraction, image
+    from lacli.geometry.surface import Surface, compact
 
     if labels is not None:
         from lacli.cli.mesh import la_label, naming
@@ -90,7 +91,7 @@ def _pool(labels: Path | None, la: int | None, anatomy: Any) -> Any:
         with naming(labels):
             label = la_label(labels, image.label_volumes(map_), la)
             return extraction.surface_of(extraction.blood_pool(map_, label).mask)
-    from lacli.anatomy.subdivision import straight
+    from lacli.geometry.subdivision import straight
 
     triangles = straight(anatomy.triangles[(anatomy.tags == 1) | (anatomy.tags >= 21)])[:, ::-1].copy()
     return compact(Surface(anatomy.points, triangles, np.zeros(len(triangles), dtype=np.int64)))
@@ -101,7 +102,8 @@ def _save(found: dict[str, Any], folder: Path, ct: Path, reach: float) -> dict[s
 
     import meshio
 
-    from lacli.anatomy import fat, pictures
+    from lacli.anatomy import pictures
+    from lacli.anatomy.wall import fat
 
     standard = found["standard"]
     if not standard.mask.array.any():

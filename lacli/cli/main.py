@@ -12,8 +12,8 @@ from collections.abc import Callable
 import typer
 
 from lacli import __version__
+from lacli.base.errors import LacliError
 from lacli.cli.console import fail
-from lacli.errors import LacliError
 
 # command -> one line of help; the function ``command`` in lacli/cli/<name>.py does the work
 COMMANDS: dict[str, str] = {

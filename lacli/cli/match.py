@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
+from lacli.base.errors import LacliError, UsageError
 from lacli.cli.console import err, out, print_json, print_table
 from lacli.cli.tables import BoxFile, Emulators, Inputs, Json, Names, Outputs, Seed, box_of, fitted, selected
-from lacli.errors import LacliError, UsageError
 
 
 def command(
@@ -37,11 +37,11 @@ def command(
     """
     import pandas as pd
 
-    from lacli.inference.emulator_set import load_emulators
+    from lacli.base.files import check_folder, replacing
+    from lacli.contracts.targets import read_targets
+    from lacli.inference.emulation.emulator_set import load_emulators
     from lacli.inference.matching import Region, Wave, match, next_runs, ruled_out_by
     from lacli.inference.nroy import EmptyRegionError
-    from lacli.inference.targets import read_targets
-    from lacli.store import check_folder, replacing
 
     check_folder(folder)
     targets = read_targets(targets_file)

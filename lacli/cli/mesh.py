@@ -15,8 +15,8 @@ from typing import Annotated, Any
 
 import typer
 
+from lacli.base.errors import AnatomyError, StorageError, UsageError
 from lacli.cli.console import err, out, print_json, print_table, progress
-from lacli.errors import AnatomyError, StorageError, UsageError
 
 STEPS = 6
 
@@ -77,9 +77,9 @@ def command(
 
     Example: lacli mesh heart.nii.gz --la 2 --lv 3 --cell-size-mm 4 --out anatomy
     """
-    from lacli.anatomy import meshfile
     from lacli.anatomy.build import Options
-    from lacli.store import check_folder
+    from lacli.anatomy.inputs import meshfile
+    from lacli.base.files import check_folder
 
     _check(cell_size_mm, thickness_mm, ring_width_mm, order, layers, frame)
     rules = ("laplace-dirichlet", "uac")
@@ -148,8 +148,8 @@ def storing(folder: Path) -> Iterator[None]:
 
 def _check_new(folder: Path, also: list[Path]) -> None:
     """Before the work: nothing else stands in the bundle's place, and the other files can be written."""
-    from lacli.anatomy import meshfile
-    from lacli.anatomy.bundle import check_replaceable
+    from lacli.anatomy.inputs import meshfile
+    from lacli.contracts.bundle import check_replaceable
 
     if folder.exists() and any(folder.iterdir()) and not (folder / "wall.vtu").is_file():
         raise UsageError(f"{folder}: the folder exists and holds something else than a bundle; choose another --out.")
@@ -165,7 +165,9 @@ def _build(
 ) -> Any:
     import numpy as np
 
-    from lacli.anatomy import build, carp, image, landmarks, repair
+    from lacli.anatomy import build
+    from lacli.anatomy.inputs import carp, image, repair
+    from lacli.anatomy.openings import landmarks
 
     given = None if file is None else landmarks.read(file)
     if image.is_image(source):
@@ -210,8 +212,10 @@ def la_label(source: Path, volumes: dict[int, float], la: int | None) -> int:
 def _save(source: Path, folder: Path, built: Any, options: Any, also: list[Path], start: float, fibres: str) -> dict[str, Any]:
     """Write everything under a temporary name, then swap it in."""
     from lacli import __version__
-    from lacli.anatomy import bundle as contract
-    from lacli.anatomy import landmarks, meshfile, quality
+    from lacli.anatomy import quality
+    from lacli.anatomy.inputs import meshfile
+    from lacli.anatomy.openings import landmarks
+    from lacli.contracts import bundle as contract
 
     report, _ = quality.measure(built.bundle)
     report["measures"] = built.measures

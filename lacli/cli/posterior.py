@@ -7,9 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
+from lacli.base.errors import UsageError
 from lacli.cli.console import err, out, print_json, print_table, progress
 from lacli.cli.tables import BoxFile, Emulators, Inputs, Json, Names, Outputs, Seed, box_of, fitted
-from lacli.errors import UsageError
 
 
 def command(
@@ -36,12 +36,12 @@ def command(
     """
     import pandas as pd
 
+    from lacli.base.files import check_folder, replacing, write_json
+    from lacli.contracts.targets import read_targets
     from lacli.inference import posterior as mcmc
     from lacli.inference.arviz_file import write_inference_data
     from lacli.inference.likelihood import Density
     from lacli.inference.matching import Region, Wave
-    from lacli.inference.targets import read_targets
-    from lacli.store import check_folder, replacing, write_json
 
     if prior not in ("nroy", "box"):
         raise UsageError(f"--prior {prior}: must be nroy or box.")

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
+from lacli.base.errors import UsageError
 from lacli.cli.console import err, out, print_json, print_table
 from lacli.cli.tables import BoxFile, Emulators, Inputs, Json, Names, Outputs, Seed, box_of, fitted
-from lacli.errors import UsageError
 
 
 def command(
@@ -31,8 +31,8 @@ def command(
     """
     import pandas as pd
 
+    from lacli.base.files import check_folder, replacing
     from lacli.inference.sensitivity import emulator_indices
-    from lacli.store import check_folder, replacing
 
     if count < 2 or count & (count - 1):
         raise UsageError(f"-n {count}: must be a power of two (a Sobol' sequence is balanced only there).")

@@ -9,10 +9,11 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from lacli.base.errors import SimulationError
 from lacli.cli.console import err, fail, out, print_json, print_table
-from lacli.errors import SimulationError
-from lacli.scene import Scene, load_scene
-from lacli.store import find_run, list_runs, run_key
+from lacli.contracts.identity import run_key
+from lacli.contracts.scene import Scene, load_scene
+from lacli.mechanics.store import find_run, list_runs
 
 _UNITS = {"_ml": "mL", "_mm": "mm", "_s": "s", "_mb": "MB", "_mmhg": "mmHg", "_kpa": "kPa"}
 
@@ -124,7 +125,7 @@ def _label(name: str) -> tuple[str, str]:
 
 
 def _show_plan(scene: Scene, root: Path, as_json: bool) -> None:
-    from lacli.anatomy import bundle as bundles
+    from lacli.contracts import bundle as bundles
     from lacli.mechanics import cost
     from lacli.mechanics.deck import describe
 

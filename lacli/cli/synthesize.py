@@ -10,8 +10,8 @@ from typing import Annotated, Any
 
 import typer
 
+from lacli.base.errors import AnatomyError, UsageError
 from lacli.cli.console import print_json, print_table, progress
-from lacli.errors import AnatomyError, UsageError
 
 KEY = "synthesis"  # in anatomy.json: what a folder was made from, so that a rerun knows a finished one
 
@@ -40,7 +40,7 @@ def command(
 
     Example: lacli synthesize cohort --cohort 10 --cell-size-mm 4
     """
-    from lacli.store import check_folder
+    from lacli.base.files import check_folder
 
     if cohort < 0 or seed < 0:
         raise UsageError("--seed and --cohort must not be negative.")
@@ -91,10 +91,10 @@ def _one(seed: int, folder: Path, wanted: dict[str, Any], voxel_mm: float | None
     """Write one atrium under a temporary name, then rename; return its row."""
     from dataclasses import replace
 
-    from lacli.anatomy.bundle import check, check_replaceable, save
-    from lacli.anatomy.cells import volumes
-    from lacli.anatomy.synthetic import synthesize
-    from lacli.motion.annulus import save_motion
+    from lacli.contracts.bundle import check, check_replaceable, save
+    from lacli.contracts.motion import save_motion
+    from lacli.geometry.tetrahedra import volumes
+    from lacli.synthetic.atrium import synthesize
 
     made_from = {"seed": seed, **wanted, "voxel_mm": voxel_mm}
     info = _finished(folder, made_from)
@@ -137,8 +137,8 @@ def _one(seed: int, folder: Path, wanted: dict[str, Any], voxel_mm: float | None
 
 def _images(seed: int, wanted: dict[str, Any], voxel_mm: float, folder: Path) -> dict[str, float]:
     """Label map and CT of the same atrium, veins going on past their cuts; what is in them, mL."""
-    from lacli.anatomy.image import write
-    from lacli.anatomy.synthetic_image import images
+    from lacli.anatomy.inputs.image import write
+    from lacli.synthetic.image import images
 
     folder.mkdir(parents=True, exist_ok=True)
     made = images(seed, wanted["volume_ml"], (voxel_mm,) * 3, wanted["thickness_mm"])

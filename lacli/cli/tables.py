@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lacli.base.errors import UsageError
 from lacli.cli.console import err, progress
-from lacli.errors import UsageError
 
 if TYPE_CHECKING:
+    from lacli.contracts.table import RunTable
     from lacli.inference.box import Box
-    from lacli.inference.emulator_set import EmulatorSet
-    from lacli.inference.table import RunTable
+    from lacli.inference.emulation.emulator_set import EmulatorSet
 
 Inputs = Annotated[Path | None, typer.Option("--inputs", help="Table of inputs (CSV or Parquet), one run a row.")]
 Outputs = Annotated[Path | None, typer.Option("--outputs", help="Table of outputs, the same runs in the same order.")]
@@ -29,7 +29,7 @@ Json = Annotated[bool, typer.Option("--json", help="One JSON document on standar
 
 def read(inputs: Path | None, outputs: Path | None, names: list[str] | None) -> RunTable:
     """The table of runs that --inputs and --outputs name; its notes go to standard error."""
-    from lacli.inference.table import read_runs
+    from lacli.contracts.table import read_runs
 
     if inputs is None or outputs is None:
         raise UsageError("give --inputs and --outputs (tables with a run in each row).")
@@ -43,8 +43,8 @@ def fitted(
     inputs: Path | None, outputs: Path | None, names: list[str] | None, emulators: Path | None, seed: int
 ) -> tuple[EmulatorSet, RunTable | None]:
     """Emulators from a file, or fitted to the tables (then with the table)."""
-    from lacli.inference.emulator import fit_emulators
-    from lacli.inference.emulator_set import EmulatorSet, load_emulators
+    from lacli.inference.emulation.emulator import fit_emulators
+    from lacli.inference.emulation.emulator_set import EmulatorSet, load_emulators
 
     if emulators is not None:
         loaded = load_emulators(emulators)

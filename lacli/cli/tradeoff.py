@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
+from lacli.base.errors import AnatomyError
 from lacli.cli.console import out, print_json, print_table
 from lacli.cli.live import LiveLine
-from lacli.errors import AnatomyError
+from lacli.contracts.scene import load_scene
 from lacli.mechanics.tradeoff import errors, keep, recommend, reference, run_variants
-from lacli.scene import load_scene
 
 
 def command(

@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from lacli.cli.console import out, print_json, progress
-from lacli.mechanics.verification import Check, choose, verify
+from lacli.verification.problems import Check, choose, verify
 
 
 def command(

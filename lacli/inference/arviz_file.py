@@ -5,8 +5,8 @@ from __future__ import annotations
 import warnings
 from pathlib import Path
 
+from lacli.base.files import replacing
 from lacli.inference.posterior import Chain
-from lacli.store import replacing
 
 
 def write_inference_data(path: Path, chain: Chain) -> None:

@@ -9,13 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lacli.errors import UsageError
-from lacli.scene import BODY_REGIONS, parameter_box
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from lacli.base.arrays import BoolArray, FloatArray
+from lacli.base.errors import UsageError
+from lacli.contracts.labels import BODY_REGIONS
+from lacli.contracts.scene import parameter_box
 
 # published ranges of the left atrium's parameters, the scene's
 RANGES: dict[str, tuple[float, float]] = parameter_box()

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from lacli.errors import UsageError
+from lacli.base.arrays import FloatArray
+from lacli.base.errors import UsageError
 from lacli.inference.box import Box
 
-FloatArray = NDArray[np.float64]
 Method = Literal["sobol", "lhs", "maximin"]
 METHODS: tuple[Method, ...] = ("sobol", "lhs", "maximin")
 

@@ -9,13 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lacli.inference.emulator_set import EmulatorSet
+from lacli.base.arrays import FloatArray
+from lacli.contracts.targets import Targets
+from lacli.inference.emulation.emulator_set import EmulatorSet
 from lacli.inference.matching import Region
-from lacli.inference.targets import Targets
-
-FloatArray = NDArray[np.float64]
 
 
 def gaussian_log_likelihood(mean: FloatArray, variance: FloatArray, targets: Targets) -> FloatArray:

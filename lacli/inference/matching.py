@@ -13,14 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
+from lacli.base.arrays import FloatArray
+from lacli.base.threads import single_threaded
+from lacli.contracts.targets import Targets
 from lacli.inference.box import Box
 from lacli.inference.design import farthest
-from lacli.inference.emulator_set import EmulatorSet
+from lacli.inference.emulation.emulator_set import EmulatorSet
 from lacli.inference.nroy import RegionSample, sample_region
-from lacli.inference.targets import Targets
-from lacli.inference.threads import single_threaded
-
-FloatArray = NDArray[np.float64]
 
 # a region smaller than this share of the sweep's points is measured by nested levels instead
 _FEWEST_INSIDE = 400

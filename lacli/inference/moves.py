@@ -10,9 +10,9 @@ import numpy as np
 from emcee.moves import Move
 from numpy.typing import NDArray
 
+from lacli.base.arrays import FloatArray
 from lacli.inference.mixture import Mixture
 
-FloatArray = NDArray[np.float64]
 _JITTER = 1e-5
 _JUMPS = 0.1  # share of the steps that are jumps
 

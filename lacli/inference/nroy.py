@@ -19,13 +19,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lacli.errors import LacliError
+from lacli.base.arrays import BoolArray, FloatArray
+from lacli.base.errors import LacliError
+from lacli.base.threads import single_threaded
 from lacli.inference.box import Box
-from lacli.inference.polynomial import Polynomial, fit_polynomial
-from lacli.inference.threads import single_threaded
+from lacli.inference.emulation.polynomial import Polynomial, fit_polynomial
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 Level = Callable[[FloatArray], FloatArray]
 Below = Callable[[FloatArray, float], BoolArray]
 Values = Callable[[FloatArray], FloatArray]

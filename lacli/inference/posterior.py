@@ -14,15 +14,14 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.stats import qmc
 
-from lacli.errors import InputError, LacliError
+from lacli.base.arrays import FloatArray
+from lacli.base.errors import InputError, LacliError
+from lacli.base.files import DAMAGED, replacing
+from lacli.base.threads import single_threaded
 from lacli.inference.likelihood import Density
 from lacli.inference.mixture import fit_mixture
 from lacli.inference.moves import EnsemblesMove
 from lacli.inference.surrogate import fit_surrogate
-from lacli.inference.threads import single_threaded
-from lacli.store import DAMAGED, replacing
-
-FloatArray = NDArray[np.float64]
 
 _FORMAT = 2
 _TUNING = 200  # steps of plain moves before anything is kept

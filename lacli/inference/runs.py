@@ -9,13 +9,11 @@ from typing import Protocol
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from lacli.errors import TableError
-from lacli.inference.table import ERROR_SUFFIX, STATUS, RunTable, combine, input_values, read_frame
-from lacli.store import replacing
-
-FloatArray = NDArray[np.float64]
+from lacli.base.arrays import FloatArray
+from lacli.base.errors import TableError
+from lacli.base.files import replacing
+from lacli.contracts.table import ERROR_SUFFIX, STATUS, RunTable, combine, input_values, read_frame
 
 
 @dataclass(frozen=True)

@@ -10,14 +10,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm, qmc
 
-from lacli.inference.emulator_set import EmulatorSet
-from lacli.inference.paths import draw_functions
-from lacli.inference.threads import single_threaded
+from lacli.base.arrays import FloatArray
+from lacli.base.threads import single_threaded
+from lacli.inference.emulation.emulator_set import EmulatorSet
+from lacli.inference.emulation.function_draws import draw_functions
 
-FloatArray = NDArray[np.float64]
 Function = Callable[[FloatArray], FloatArray]
 
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lacli.base.arrays import FloatArray
+from lacli.inference.emulation.polynomial import Polynomial, fit_polynomial
 from lacli.inference.likelihood import Density, gaussian_log_likelihood
-from lacli.inference.polynomial import Polynomial, fit_polynomial
-
-FloatArray = NDArray[np.float64]
 
 _STEEP = 30.0
 

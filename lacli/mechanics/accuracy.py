@@ -6,9 +6,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from lacli.errors import InputError
-from lacli.scene import Scene
-from lacli.store import write_json
+from lacli.base.errors import InputError
+from lacli.base.files import write_json
+from lacli.contracts.scene import Scene
 
 FILE = "accuracy.json"
 

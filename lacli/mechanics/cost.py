@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from lacli.anatomy.bundle import TET10_EDGES, Bundle
-from lacli.scene import Scene
+from lacli.contracts.bundle import Bundle
+from lacli.contracts.scene import Scene
+from lacli.geometry.tetrahedra import TET10_EDGES
 
 # sparse direct solution of a thin wall: between the 2D (n^1.5) and the assembly's n^1
 _TIME_POWER, _MEMORY_POWER = 1.3, 1.2

@@ -9,9 +9,9 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from lacli import resources
+from lacli.base import resources
+from lacli.contracts.scene import Scene
 from lacli.mechanics.plan import Plan, describe
-from lacli.scene import Scene
 
 __all__ = ["describe", "render", "render_template"]
 

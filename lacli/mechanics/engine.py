@@ -9,10 +9,10 @@ import functools
 import logging
 from pathlib import Path
 
-from lacli import resources
-from lacli.errors import SolverMissingError
-from lacli.mechanics import freefem
-from lacli.scene import Scene
+from lacli.base import resources
+from lacli.base.errors import SolverMissingError
+from lacli.contracts.scene import Scene
+from lacli.freefem import program as freefem
 
 # the plugin calls MUMPS itself, to keep its analysis between factorisations
 PLUGIN_FLAGS = ("-Wl,--no-as-needed", "-march=native", "-ldmumps_seq", "-lmpiseq_seq")

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lacli.anatomy.bundle import ENDO, PLANES, REGIONS, Bundle
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from lacli.base.arrays import FloatArray, IntArray
+from lacli.contracts.bundle import Bundle
+from lacli.contracts.labels import ENDO, PLANES, REGIONS
 
 # Radon's 7 points, degree 5: exact for the volume below a quadratic map
 _S = np.sqrt(15.0)

@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from lacli.anatomy.bundle import EPI, PLANES, REGIONS, RINGS, Bundle
-from lacli.errors import AnatomyError
+from lacli.base.arrays import FloatArray, IntArray
+from lacli.base.errors import AnatomyError
+from lacli.contracts.bundle import Bundle
+from lacli.contracts.labels import BODY_REGIONS, EPI, PLANES, REGIONS, RINGS
+from lacli.contracts.motion import Motion
+from lacli.contracts.scene import Materials, Pericardium, Scene
 from lacli.mechanics.plan import Plan
-from lacli.motion.annulus import Motion
-from lacli.scene import BODY_REGIONS, Materials, Pericardium, Scene
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 # VTK's 10-node cell -> FreeFEM's: middles of edges 01 02 03 12 13 23; triangle: of 12 20 01
 CELL_ORDER = [0, 1, 2, 3, 4, 6, 7, 5, 8, 9]

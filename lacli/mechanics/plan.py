@@ -7,10 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lacli.anatomy.bundle import EPI, REGIONS, RINGS, Bundle
-from lacli.errors import AnatomyError
-from lacli.motion.annulus import Motion, scene_motion
-from lacli.scene import MMHG_KPA, Scene
+from lacli.base.errors import AnatomyError
+from lacli.contracts.bundle import Bundle
+from lacli.contracts.labels import EPI, REGIONS, RINGS
+from lacli.contracts.motion import Motion
+from lacli.contracts.scene import MMHG_KPA, Scene
+from lacli.motion.annulus import scene_motion
 
 
 @dataclass(frozen=True)

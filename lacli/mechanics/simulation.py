@@ -11,22 +11,24 @@ from typing import Any
 import meshio
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from lacli import resources
-from lacli.anatomy import bundle as bundles
-from lacli.anatomy.bundle import Bundle
-from lacli.errors import SimulationError
-from lacli.mechanics import engine, freefem, inputs
+from lacli.base import resources
+from lacli.base.arrays import FloatArray
+from lacli.base.errors import SimulationError
+from lacli.base.files import write_json, write_text
+from lacli.contracts import bundle as bundles
+from lacli.contracts.bundle import Bundle
+from lacli.contracts.motion import Motion
+from lacli.contracts.scene import MMHG_KPA, Scene
+from lacli.freefem import program as freefem
+from lacli.mechanics import engine, inputs
 from lacli.mechanics.accuracy import known_errors
 from lacli.mechanics.deck import render
 from lacli.mechanics.features import cavity_volume_ml, cell_gradient, displacements_mm, regional_extras
 from lacli.mechanics.plan import Plan, make_plan
-from lacli.motion.annulus import Motion, scene_motion
-from lacli.scene import MMHG_KPA, Scene
-from lacli.store import OpenRun, StoredRun, open_run, write_json, write_text
+from lacli.mechanics.store import OpenRun, StoredRun, open_run
+from lacli.motion.annulus import scene_motion
 
-FloatArray = NDArray[np.float64]
 OnProgress = Callable[[freefem.Progress], None]
 
 

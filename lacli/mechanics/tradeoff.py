@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lacli.errors import InputError
+from lacli.base.errors import InputError
+from lacli.contracts.scene import Anatomy, Scene
 from lacli.mechanics.accuracy import numerics_name, record
 from lacli.mechanics.simulation import OnProgress, run_scene
-from lacli.scene import Anatomy, Scene
 
 FEATURES = ("esv_ml", "d_global_mm", "d_anterior_mm", "d_posterior_mm", "d_septum_mm", "d_lateral_mm", "d_roof_mm")
 CHOICES: tuple[tuple[int, int], ...] = ((1, 4), (2, 4), (2, 14))

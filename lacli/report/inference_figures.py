@@ -7,14 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lacli.base.arrays import FloatArray
+from lacli.base.files import replacing
+from lacli.inference.emulation.validation import Scores
 from lacli.inference.sensitivity import Sobol
-from lacli.inference.validation import Scores
 from lacli.report.style import paper
-from lacli.store import replacing
-
-FloatArray = NDArray[np.float64]
 
 INK, SPREAD, TARGET = "#0072B2", "#9CC3DE", "#D55E00"
 _UNITS = {"_ml": "mL", "_mm": "mm", "_mmhg": "mmHg", "_kpa": "kPa", "_kpa_per_um": "kPa/µm"}

@@ -7,15 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lacli.inference.emulator_set import EmulatorSet
+from lacli.base.arrays import FloatArray
+from lacli.contracts.targets import Targets
+from lacli.inference.emulation.emulator_set import EmulatorSet
 from lacli.inference.matching import Region
-from lacli.inference.targets import Targets
 from lacli.report.inference_figures import INK, TARGET, label, save
 from lacli.report.style import paper
-
-FloatArray = NDArray[np.float64]
 
 _CELLS = 20
 _POINTS = 60_000

@@ -8,14 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lacli.base.arrays import FloatArray
 from lacli.inference.box import Box
 from lacli.inference.posterior import Chain
 from lacli.report.inference_figures import INK, SPREAD, TARGET, label, save
 from lacli.report.style import paper
-
-FloatArray = NDArray[np.float64]
 
 
 def corner_figure(chain: Chain, best: FloatArray, box: Box, path: Path, truth: FloatArray | None = None) -> Path:

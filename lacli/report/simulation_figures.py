@@ -18,12 +18,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from lacli.anatomy.bundle import REGIONS, RINGS
-from lacli.errors import InputError
+from lacli.base.arrays import FloatArray
+from lacli.base.errors import InputError
+from lacli.base.files import replacing
+from lacli.contracts.labels import REGIONS, RINGS
 from lacli.report.style import PLANE_COLOUR, REGION_COLOURS, RING_COLOUR, paper
-from lacli.store import replacing
 
-FloatArray = NDArray[np.float64]
 TRANSIENTS, SHAPES = "transients.png", "shapes.png"
 _COLUMNS = ("time", "phase", "pressure_mmhg", "volume_ml", "d_global_mm")
 _PIXELS = 700

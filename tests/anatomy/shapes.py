@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pyvista as pv
 
-from lacli.anatomy.cut import Cut, cut_open
-from lacli.anatomy.surface import Surface
+from lacli.anatomy.openings.cut import Cut, cut_open
+from lacli.geometry.surface import Surface
 
 RADIUS, HEIGHT = 20.0, 14.0
 RIM = np.sqrt(RADIUS**2 - HEIGHT**2)

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lacli.anatomy import image
-from lacli.anatomy.image import Image
-from lacli.errors import AnatomyError, InputError, LacliError, StorageError, UsageError
+from lacli.anatomy.inputs import image
+from lacli.anatomy.inputs.image import Image
+from lacli.base.errors import AnatomyError, InputError, LacliError, StorageError, UsageError
 
 
 def refused(words: str) -> LacliError:

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from lacli.anatomy import carp
-from lacli.errors import InputError
+from lacli.anatomy.inputs import carp
+from lacli.base.errors import InputError
 
 lengths = st.floats(-200, 200, allow_nan=False)
 

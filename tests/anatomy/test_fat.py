@@ -10,8 +10,10 @@ import pytest
 from scipy import ndimage
 from shapes import icosphere
 
-from lacli.anatomy import fat, image, synthetic_image
-from lacli.anatomy.image import Image
+from lacli.anatomy.inputs import image
+from lacli.anatomy.inputs.image import Image
+from lacli.anatomy.wall import fat
+from lacli.synthetic import image as synthetic_image
 
 BLOOD_MM, WALL_MM, OUTER_MM = 15.0, 2.0, 23.0
 STEP, BLUR_MM = 0.8, 0.5

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lacli.anatomy import extraction, image
-from lacli.anatomy.image import Image
-from lacli.errors import AnatomyError, InputError
+from lacli.anatomy.inputs import extraction, image
+from lacli.anatomy.inputs.image import Image
+from lacli.base.errors import AnatomyError, InputError
 
 CENTRE, RADIUS = np.array([12.0, -30.0, 55.0]), 15.0
 

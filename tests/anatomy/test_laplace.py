@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lacli.anatomy import laplace
-from lacli.errors import AnatomyError
+from lacli.base.errors import AnatomyError
+from lacli.geometry import laplace
 
 
 def box(n: int = 4) -> tuple[np.ndarray, np.ndarray]:

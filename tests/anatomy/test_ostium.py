@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lacli.anatomy import ostium, paths
+from lacli.anatomy.openings import ostium
+from lacli.geometry import curves as paths
 
 
 def profile(scale: float) -> np.ndarray:

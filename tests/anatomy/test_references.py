@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from lacli.anatomy import fibres, paths, uac
+from lacli.anatomy.coordinates import fibres, uac
+from lacli.geometry import curves as paths
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 ATLAS, LAPLACE = DATA / "la_atlas_uac", DATA / "la_laplace_reference"

@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapes import HEIGHT, RADIUS, RIM, cut_ball
 
-from lacli.anatomy.cut import Cut, cut_open
-from lacli.anatomy.projection import border_edges
-from lacli.anatomy.remesh import remesh
-from lacli.anatomy.rims import label_rings
-from lacli.anatomy.surface import Surface, defects, unique_edges
-from lacli.errors import AnatomyError
+from lacli.anatomy.openings.cut import Cut, cut_open
+from lacli.anatomy.openings.rims import label_rings
+from lacli.base.errors import AnatomyError
+from lacli.geometry.projection import border_edges
+from lacli.geometry.remesh import remesh
+from lacli.geometry.surface import Surface, defects, unique_edges
 
 
 def test_the_cut_ball_has_the_volume_of_the_formula() -> None:

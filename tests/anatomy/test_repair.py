@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from shapes import icosphere
 
-from lacli.anatomy import repair
-from lacli.errors import AnatomyError, InputError
+from lacli.anatomy.inputs import repair
+from lacli.base.errors import AnatomyError, InputError
 
 EXACT_ML = 4 / 3 * np.pi * 20**3 / 1000
 

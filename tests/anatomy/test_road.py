@@ -9,23 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lacli.anatomy import (
-    build,
-    carp,
-    coordinates,
-    extraction,
-    fat,
-    fibres,
-    image,
-    landmarks,
-    laplace,
-    meshfile,
-    regions,
-    synthetic,
-    synthetic_image,
-)
-from lacli.anatomy.bundle import EPI, OPENINGS, PLANES, REGIONS, check, load, save
-from lacli.errors import AnatomyError
+from lacli.anatomy import build
+from lacli.anatomy.coordinates import describe as coordinates
+from lacli.anatomy.coordinates import fibres, regions
+from lacli.anatomy.inputs import carp, extraction, image, meshfile
+from lacli.anatomy.openings import landmarks
+from lacli.anatomy.wall import fat
+from lacli.base.errors import AnatomyError
+from lacli.contracts.bundle import check, load, save
+from lacli.contracts.labels import EPI, OPENINGS, PLANES, REGIONS
+from lacli.geometry import laplace
+from lacli.synthetic import atrium as synthetic
+from lacli.synthetic import image as synthetic_image
 
 SEED = 2
 OPTIONS = build.Options(cell_size_mm=4.0)

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from shapes import HEIGHT, RADIUS, cut_ball, icosphere
 
-from lacli.anatomy import cells
-from lacli.anatomy.bundle import ENDO, EPI, OTHER, check
-from lacli.anatomy.shell import mesh_shell
-from lacli.anatomy.surface import Surface, defects
-from lacli.errors import AnatomyError
+from lacli.anatomy.wall.shell import mesh_shell
+from lacli.base.errors import AnatomyError
+from lacli.contracts.bundle import check
+from lacli.contracts.labels import ENDO, EPI, OTHER
+from lacli.geometry import tetrahedra as cells
+from lacli.geometry.surface import Surface, defects
 
 
 def volume_between(bundle: object) -> float:

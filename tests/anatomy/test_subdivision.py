@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from shapes import icosphere
 
-from lacli.anatomy import paths
-from lacli.anatomy.cells import enclosed_volume_ml
-from lacli.anatomy.subdivision import straight, subdivide
-from lacli.anatomy.triangles import area_normals
-from lacli.errors import AnatomyError
+from lacli.base.errors import AnatomyError
+from lacli.geometry import curves as paths
+from lacli.geometry.subdivision import straight, subdivide
+from lacli.geometry.tetrahedra import enclosed_volume_ml
+from lacli.geometry.triangles import area_normals
 
 RADIUS = 20.0
 

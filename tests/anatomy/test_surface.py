@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapes import icosphere
 
-from lacli.anatomy.cells import boundary_faces, curved_jacobian, elevate, enclosed_volume_ml, scaled_jacobian, volumes
-from lacli.anatomy.prisms import shorter_diagonals, split_prisms
-from lacli.anatomy.surface import Surface, check, defects, unique_edges
-from lacli.errors import AnatomyError
+from lacli.base.errors import AnatomyError
+from lacli.geometry.prisms import shorter_diagonals, split_prisms
+from lacli.geometry.surface import Surface, check, defects, unique_edges
+from lacli.geometry.tetrahedra import boundary_faces, curved_jacobian, elevate, enclosed_volume_ml, scaled_jacobian, volumes
 
 CORNER = np.array([[0.0, 0, 0], [10, 0, 0], [0, 10, 0], [0, 0, 10]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])

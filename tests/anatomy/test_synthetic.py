@@ -8,17 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lacli.anatomy import cells, paths, uac
-from lacli.anatomy.bundle import ENDO, OPENINGS, OTHER, PLANES, REGIONS, RINGS, Bundle, check, load, save
-from lacli.anatomy.coordinates import Layer, _rim, describe, fine_layer_of
-from lacli.anatomy.shell import frame_of, mesh_shell
-from lacli.anatomy.surface import Surface, defects
-from lacli.anatomy.synthetic import cavity, signed_distance, sized, synthesize
-from lacli.anatomy.synthetic_shape import COHORT_ML, cohort_volume
-from lacli.anatomy.triangles import area_normals
-from lacli.errors import AnatomyError, InputError
+from lacli.anatomy.coordinates import uac
+from lacli.anatomy.coordinates.describe import Layer, _rim, describe, fine_layer_of
+from lacli.anatomy.wall.shell import frame_of, mesh_shell
+from lacli.base.errors import AnatomyError, InputError
+from lacli.contracts.bundle import Bundle, check, load, save
+from lacli.contracts.labels import ENDO, OPENINGS, OTHER, PLANES, REGIONS, RINGS
+from lacli.contracts.motion import FILE, Motion, load_motion, save_motion
+from lacli.geometry import curves as paths
+from lacli.geometry import tetrahedra as cells
+from lacli.geometry.surface import Surface, defects
+from lacli.geometry.triangles import area_normals
 from lacli.mechanics.features import endocardial_regions
-from lacli.motion.annulus import FILE, Motion, annulus_points, descend, load_motion, save_motion
+from lacli.motion.annulus import annulus_points, descend
+from lacli.synthetic.atrium import cavity, signed_distance, sized, synthesize
+from lacli.synthetic.shape import COHORT_ML, cohort_volume
 
 VOLUME = 80.0
 

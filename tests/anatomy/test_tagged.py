@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lacli.anatomy import cells
-from lacli.anatomy.bundle import ENDO, OPENINGS, PLANES, RINGS, check
-from lacli.anatomy.surface import defects
-from lacli.anatomy.tagged import read_mesh, read_tagged
-from lacli.errors import AnatomyError
+from lacli.anatomy.inputs.tagged import read_mesh, read_tagged
+from lacli.base.errors import AnatomyError
+from lacli.contracts.bundle import check
+from lacli.contracts.labels import ENDO, OPENINGS, PLANES, RINGS
+from lacli.geometry import tetrahedra as cells
+from lacli.geometry.surface import defects
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "la_rodero01"
 FILES = (DATA / "LA_tets_2.0mm.vtu", DATA / "LA_surfaces_2.0mm.vtp", DATA / "rodero_01_fullheart_2.0mm.namemap.json")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from shapes import icosphere
 
-from lacli.anatomy import thickness
-from lacli.anatomy.shell import mesh_shell
+from lacli.anatomy.wall import thickness
+from lacli.anatomy.wall.shell import mesh_shell
 
 
 @pytest.mark.parametrize("order", [1, 2])

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from lacli import installation
+from lacli.base.errors import SolverMissingError
 from lacli.cli.main import build
-from lacli.errors import SolverMissingError
-from lacli.installation import Check
-from lacli.mechanics import freefem as ff
-from lacli.mechanics.freefem import FreeFem
+from lacli.freefem import program as ff
+from lacli.freefem.program import FreeFem
+from lacli.mechanics import installation
+from lacli.mechanics.installation import Check
 
 
 def run(*arguments: str) -> tuple[int, str]:

@@ -14,13 +14,14 @@ import pytest
 from test_bundle import hollow_cube
 from typer.testing import CliRunner
 
-from lacli.anatomy.bundle import save
+from lacli.base.files import write_json
 from lacli.cli.live import describe
 from lacli.cli.main import build
+from lacli.contracts.bundle import save
+from lacli.contracts.scene import Scene, build_scene
+from lacli.freefem.program import Progress
 from lacli.mechanics import cost
-from lacli.mechanics.freefem import Progress
-from lacli.scene import Scene, build_scene
-from lacli.store import open_run, write_json
+from lacli.mechanics.store import open_run
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from lacli.anatomy.bundle import load
-from lacli.anatomy.image import read
+from lacli.anatomy.inputs.image import read
+from lacli.base.errors import AnatomyError, InputError, StorageError
 from lacli.cli.main import build
-from lacli.errors import AnatomyError, InputError, StorageError
-from lacli.motion.annulus import load_motion
+from lacli.contracts.bundle import load
+from lacli.contracts.motion import load_motion
 
 
 def run(*arguments: str) -> str:
@@ -65,7 +65,7 @@ def test_a_descent_that_is_none_is_refused(descent: str, tmp_path: Path) -> None
 
 
 def test_an_output_that_cannot_be_made_is_refused_before_the_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lacli.anatomy.synthetic.synthesize", None)
+    monkeypatch.setattr("lacli.synthetic.atrium.synthesize", None)
     (tmp_path / "file").write_text("x")
     for arguments in ([str(tmp_path / "file" / "la")], [str(tmp_path / "file"), "--cohort", "2"]):
         with pytest.raises(StorageError, match="is a file"):

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from lacli.inference.scales import OutputScale
+from lacli.inference.emulation.scales import OutputScale
 
 
 class ExactEmulators:

@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
+from lacli.base.errors import InputError, LacliError, StorageError, TableError, UsageError
 from lacli.cli.main import build
-from lacli.errors import InputError, LacliError, StorageError, TableError, UsageError
 from lacli.inference.runs import Outcome
 
 with warnings.catch_warnings():
@@ -226,7 +226,7 @@ def test_a_design_that_was_looked_at_first_is_run(tmp_path, monkeypatch):
 
         return run
 
-    monkeypatch.setattr("lacli.cli.scenes.simulator", simulator)
+    monkeypatch.setattr("lacli.calibration.simulator.simulator", simulator)
     call("design", "-n", 4, "--out", tmp_path / "d.csv")
     for _ in range(2):  # the second time all are known
         result = document("design", "scene.toml", "-n", 4, "--run", "--out", tmp_path / "d.csv")

@@ -3,18 +3,18 @@
 import numpy as np
 import pytest
 
-from lacli.errors import InputError
-from lacli.inference import gp
+from lacli.base.errors import InputError
+from lacli.contracts.table import RunTable
+from lacli.contracts.targets import Targets
 from lacli.inference.box import make_box
-from lacli.inference.emulator import fit_emulator, fit_emulators
-from lacli.inference.emulator_set import EmulatorSet, load_emulators, save_emulators
+from lacli.inference.emulation import gp
+from lacli.inference.emulation.emulator import fit_emulator, fit_emulators
+from lacli.inference.emulation.emulator_set import EmulatorSet, load_emulators, save_emulators
+from lacli.inference.emulation.function_draws import draw_functions
+from lacli.inference.emulation.scales import OutputScale
+from lacli.inference.emulation.validation import cross_validate, score
 from lacli.inference.likelihood import Density
 from lacli.inference.matching import Region
-from lacli.inference.paths import draw_functions
-from lacli.inference.scales import OutputScale
-from lacli.inference.table import RunTable
-from lacli.inference.targets import Targets
-from lacli.inference.validation import cross_validate, score
 
 
 def data(n=40, d=3, seed=0, noise=0.0):

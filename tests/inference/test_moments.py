@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lacli import compiled
-from lacli.inference import moments
+from lacli.base import native as compiled
+from lacli.inference.emulation import moments
 
 
 def make(p: int, f: int, n: int, q: int, seed: int = 0) -> tuple[moments.Processes, np.ndarray, np.ndarray]:
@@ -105,7 +105,7 @@ def test_a_kept_library_that_does_not_load_is_made_again(tmp_path: Path, monkeyp
     source = tmp_path / "one.cpp"
     source.write_text('extern "C" int one() { return 1; }\n')
     # in other processes: what is loaded already is not looked at again
-    words = f"import pathlib; from lacli import compiled; print(compiled.library(pathlib.Path({str(source)!r})).one())"
+    words = f"import pathlib; from lacli.base import native; print(native.library(pathlib.Path({str(source)!r})).one())"
     for _ in range(2):
         done = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, check=True)
         assert done.stdout == "1\n"

@@ -8,14 +8,14 @@ import pytest
 from exact import ExactEmulators
 from scipy import stats
 
-from lacli.errors import InputError
+from lacli.base.errors import InputError
+from lacli.contracts.targets import Targets
 from lacli.inference import posterior as mcmc
 from lacli.inference.arviz_file import write_inference_data
 from lacli.inference.box import make_box
 from lacli.inference.likelihood import Density, gaussian_log_likelihood
 from lacli.inference.matching import Region, Wave
 from lacli.inference.mixture import fit_mixture
-from lacli.inference.targets import Targets
 
 # an ESS of 10,000 makes the sd's own Monte Carlo error 1 / sqrt(20,000) = 0.7 %
 SETTINGS = mcmc.Settings(ess=10_000.0, seed=1)

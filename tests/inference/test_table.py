@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lacli.errors import TableError, UsageError
+from lacli.base.errors import TableError, UsageError
+from lacli.contracts.table import combine, fewest_runs, read_frame, read_runs
+from lacli.contracts.targets import Targets, read_targets, write_targets
 from lacli.inference.box import CALIBRATION_INPUTS, make_box, published_box, read_box
-from lacli.inference.table import combine, fewest_runs, read_frame, read_runs
-from lacli.inference.targets import Targets, read_targets, write_targets
 
 
 def frames(n=20, d=3, p=2, seed=0):

@@ -11,15 +11,17 @@ import pytest
 from numpy.typing import NDArray
 from shapes import cut_ball
 
-from lacli import resources
-from lacli.anatomy import bundle as bundles
-from lacli.anatomy.bundle import EPI, RINGS, Bundle
-from lacli.anatomy.shell import mesh_shell
-from lacli.errors import SolverMissingError
-from lacli.mechanics import engine, freefem, inputs, plan, simulation
-from lacli.mechanics.freefem import FreeFem
+from lacli.anatomy.wall.shell import mesh_shell
+from lacli.base import resources
+from lacli.base.errors import SolverMissingError
+from lacli.contracts import bundle as bundles
+from lacli.contracts.bundle import Bundle
+from lacli.contracts.labels import EPI, RINGS
+from lacli.contracts.scene import Scene, build_scene
+from lacli.freefem import program as freefem
+from lacli.freefem.program import FreeFem
+from lacli.mechanics import engine, inputs, plan, simulation
 from lacli.motion.annulus import scene_motion
-from lacli.scene import Scene, build_scene
 
 SOLVERS = resources.folder("solvers") / "freefem"
 SCALARS = 4

@@ -18,10 +18,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lacli import process
-from lacli.errors import SolverMissingError
-from lacli.mechanics import freefem as ff
-from lacli.mechanics.freefem import FreeFem, build_plugin, find, parse_progress, parse_stop, run
+from lacli.base import process
+from lacli.base.errors import SolverMissingError
+from lacli.freefem import program as ff
+from lacli.freefem.program import FreeFem, build_plugin, find, parse_progress, parse_stop, run
 
 SPEAK = 'cout << "@ progress phase=load load=0.5 step=0.1 newton=2 residual=1e-3 minj=0.9" << endl; cout.flush;\n'
 BUSY = SPEAK + "while (true) clock();\n"
@@ -160,7 +160,7 @@ def test_kill_9_of_freefem_is_named(freefem: FreeFem, tmp_path: Path) -> None:
 def test_kill_9_of_lacli_leaves_no_orphan(freefem: FreeFem, tmp_path: Path) -> None:
     file = script(tmp_path, BUSY)
     code = (
-        "from pathlib import Path; from lacli.mechanics.freefem import find, run;"
+        "from pathlib import Path; from lacli.freefem.program import find, run;"
         f"run(find(), Path({str(file)!r}), Path({str(tmp_path)!r}), 60)"
     )
     with subprocess.Popen([sys.executable, "-c", code]) as lacli:

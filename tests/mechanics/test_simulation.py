@@ -9,15 +9,17 @@ import numpy as np
 import pytest
 from shapes import cut_ball
 
-from lacli.anatomy import bundle as bundles
-from lacli.anatomy.bundle import Bundle
-from lacli.anatomy.shell import mesh_shell
-from lacli.anatomy.synthetic import synthesize
-from lacli.errors import AnatomyError, SceneError
-from lacli.mechanics import deck, engine, freefem, inputs, plan, simulation
+from lacli.anatomy.wall.shell import mesh_shell
+from lacli.base.errors import AnatomyError, SceneError
+from lacli.contracts import bundle as bundles
+from lacli.contracts.bundle import Bundle
+from lacli.contracts.motion import save_motion
+from lacli.contracts.scene import Scene, build_scene
+from lacli.freefem import program as freefem
+from lacli.mechanics import deck, engine, inputs, plan, simulation
 from lacli.mechanics.features import cavity_volume_ml, displacements_mm, regional_extras
-from lacli.motion.annulus import save_motion, scene_motion
-from lacli.scene import Scene, build_scene
+from lacli.motion.annulus import scene_motion
+from lacli.synthetic.atrium import synthesize
 
 
 @pytest.fixture(scope="module")

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from lacli.errors import InputError
+from lacli.base.errors import InputError
+from lacli.contracts.scene import Scene, build_scene
 from lacli.mechanics import accuracy
 from lacli.mechanics.tradeoff import Variant, errors, keep, recommend, reference
-from lacli.scene import Scene, build_scene
 
 
 def scene(folder: Path, order: int) -> Scene:

@@ -11,14 +11,18 @@ import pytest
 from scipy.integrate import quad
 from typer.testing import CliRunner
 
-from lacli import resources
+from lacli.base import resources
+from lacli.base.errors import SimulationError, UsageError
 from lacli.cli.main import build
-from lacli.errors import SimulationError, UsageError
-from lacli.mechanics import verification, verification_equilibria, verification_forms, verification_laws, verification_runs
-from lacli.mechanics import verification_problems as meshes
+from lacli.freefem.program import FreeFem, compile_plugin
 from lacli.mechanics.engine import PLUGIN_FLAGS
-from lacli.mechanics.freefem import FreeFem, compile_plugin
-from lacli.mechanics.verification_runs import GUCCIONE, Setup, compare, material, solve
+from lacli.verification import equilibria as verification_equilibria
+from lacli.verification import forms as verification_forms
+from lacli.verification import laws as verification_laws
+from lacli.verification import meshes
+from lacli.verification import problems as verification
+from lacli.verification import runs as verification_runs
+from lacli.verification.runs import GUCCIONE, Setup, compare, material, solve
 
 
 def volume(points: np.ndarray, tets: np.ndarray) -> float:

@@ -11,8 +11,8 @@ import pandas as pd
 import pytest
 import pyvista as pv
 
-from lacli.anatomy.bundle import PLANES, REGIONS, RINGS
-from lacli.errors import InputError
+from lacli.base.errors import InputError
+from lacli.contracts.labels import PLANES, REGIONS, RINGS
 from lacli.report import simulation_figures as figures
 
 

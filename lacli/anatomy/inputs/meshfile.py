@@ -1,0 +1,114 @@
+"""A bundle as one mesh file of other tools (CARP, VTK, VTU, Gmsh and meshio's formats), and fibres from such a file."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from lacli.anatomy.inputs import carp
+from lacli.base.arrays import FloatArray
+from lacli.base.errors import AnatomyError, InputError, UsageError
+from lacli.contracts.bundle import Bundle
+
+FIBRE_NAMES = ("fibre", "fiber", "fibres", "fibers", "Fibre", "fibre_direction")
+
+
+def write(bundle: Bundle, path: Path) -> None:
+    """Write the wall: ``path`` ends in .pts/.elem (CARP: micrometres, corners of the cells), or as meshio knows it.
+
+    Raises AnatomyError where meshio cannot write the format.
+    """
+    if path.suffix in (".pts", ".elem", ".lon"):
+        carp.write(carp.CarpMesh(bundle.points[_corners(bundle)], "Tt", _renumbered(bundle), bundle.region, bundle.fibre), path)
+        return
+    points = {n: v for n in ("transmural", "uac", "pericardium_coordinate") if (v := getattr(bundle, n)) is not None}
+    cells: dict[str, list[Any]] = {"region": [bundle.region.astype(np.int32)]}
+    if bundle.fibre is not None:
+        cells["fibre"] = [bundle.fibre]
+    kind = "tetra" if bundle.order == 1 else "tetra10"
+    if path.suffix == ".vtk" and "uac" in points:
+        # legacy VTK has scalars and 3-vectors only
+        points["uac"] = np.column_stack([points["uac"], np.zeros(len(bundle.points))])
+    temporary = path.with_name(f".part-{os.getpid()}-{path.name}")
+    try:
+        meshio.write(temporary, meshio.Mesh(bundle.points, [(kind, bundle.tets)], point_data=points, cell_data=cells))
+    except Exception as error:
+        temporary.unlink(missing_ok=True)
+        raise AnatomyError(f"{path}: meshio cannot write this format ({type(error).__name__}: {error}).") from None
+    temporary.replace(path)
+
+
+def check_ending(path: Path) -> None:
+    """Raises UsageError where ``write`` knows no format by this name's ending."""
+    if path.suffix not in (".pts", ".elem", ".lon", *meshio.extension_to_filetypes):
+        raise UsageError(f"{path}: no mesh format has the ending '{path.suffix}'; use .pts (CARP), .vtk, .vtu or .msh.")
+
+
+def _corners(bundle: Bundle) -> NDArray[np.int64]:
+    return np.unique(bundle.tets[:, :4])
+
+
+def _renumbered(bundle: Bundle) -> NDArray[np.int64]:
+    place = np.full(len(bundle.points), -1, dtype=np.int64)
+    corners = _corners(bundle)
+    place[corners] = np.arange(len(corners))
+    return place[bundle.tets[:, :4]]
+
+
+def read_fibres(path: Path) -> tuple[FloatArray, FloatArray]:
+    """Cell centres (m, 3) mm and unit fibres (m, 3) of a CARP mesh (.lon with its .pts and .elem) or a file with a cell array
+    'fibre'.
+
+    Raises InputError where there are none, or one is not finite or zero.
+    """
+    if path.name.removesuffix(".gz").endswith((".lon", ".pts", ".elem")):
+        mesh = carp.read(path)
+        if mesh.fibre is None:
+            raise InputError(f"{path}: there is no .lon file beside the mesh.")
+        centre, fibre = mesh.points[mesh.cells].mean(axis=1), mesh.fibre
+    else:
+        if not path.is_file():
+            raise InputError(f"{path}: no such file.")
+        try:
+            data = meshio.read(path)
+        except (Exception, SystemExit) as error:  # meshio ends the program on some formats
+            raise InputError(f"{path}: the mesh cannot be read ({type(error).__name__}: {error}).") from None
+        name = next((n for n in FIBRE_NAMES if n in data.cell_data), None)
+        if name is None:
+            raise InputError(
+                f"{path}: no cell array named {', '.join(FIBRE_NAMES)}; it has {', '.join(data.cell_data) or 'none'}."
+            )
+        pairs = [
+            (b, v) for b, v in zip(data.cells, data.cell_data[name], strict=True) if b.type in ("tetra", "tetra10", "triangle")
+        ]
+        if not pairs:
+            raise InputError(f"{path}: no tetrahedra or triangles carry fibres.")
+        width = {"tetra": 4, "tetra10": 4, "triangle": 3}
+        centre = np.concatenate([data.points[b.data[:, : width[b.type]]].mean(axis=1) for b, _ in pairs])
+        fibre = np.concatenate([np.asarray(v, dtype=float) for _, v in pairs])
+    size = np.linalg.norm(fibre, axis=1, keepdims=True)
+    if not np.isfinite(size).all() or (size < 1e-6).any():
+        raise InputError(f"{path}: {int((~np.isfinite(size) | (size < 1e-6)).sum())} fibres are zero or not finite.")
+    return centre, fibre / size
+
+
+def carry_fibres(bundle: Bundle, centre: FloatArray, fibre: FloatArray, reach_mm: float = 3.0) -> FloatArray:
+    """The user's fibres on the bundle's cells: each takes its nearest one's.
+
+    Raises AnatomyError where most cells find none within ``reach_mm``: the two meshes do not lie in one place.
+    """
+    query = cKDTree(centre).query(bundle.points[bundle.tets[:, :4]].mean(axis=1))
+    distance, nearest = (np.asarray(values) for values in query)
+    wall = bundle.region < 10
+    if np.median(distance[wall]) > reach_mm:
+        raise AnatomyError(
+            f"the fibres' mesh lies {np.median(distance[wall]):.1f} mm away from the wall (median); "
+            "it must be the same heart in the same frame."
+        )
+    return fibre[nearest]

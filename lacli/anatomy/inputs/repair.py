@@ -1,0 +1,359 @@
+"""Surfaces as other tools write them: read, put in millimetres, cleaned, closed; everything done is said."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy import ndimage
+
+from lacli.anatomy.inputs.image import Image
+from lacli.anatomy.openings import clipping
+from lacli.base.arrays import FloatArray, IntArray
+from lacli.base.errors import AnatomyError, InputError
+from lacli.geometry import curves as paths
+from lacli.geometry.surface import Surface, compact, defects
+
+SUFFIXES = (".vtp", ".vtk", ".stl", ".ply", ".obj", ".vtu")
+MANY_TRIANGLES = 400_000
+MANY_HOLES = 300
+OPENING_MM = 10.0  # rims at least this long are openings (veins, valve), shorter ones damage
+
+
+@dataclass(frozen=True)
+class Rim:
+    """An opening that the input had: centre (3,) mm, normal (3,) out of the cavity, length of the circle of its area mm."""
+
+    centre: FloatArray
+    normal: FloatArray
+    length_mm: float
+
+
+@dataclass(frozen=True)
+class Repaired:
+    """A closed surface, the openings it had, what was done in words, and the factor from the file's unit to mm."""
+
+    surface: Surface
+    rims: tuple[Rim, ...]
+    notes: tuple[str, ...]
+    scale: float
+
+
+def read(path: Path) -> tuple[FloatArray, IntArray]:
+    """Points (n, 3) and triangles (t, 3) of a surface file; other polygons are cut in triangles.
+
+    Raises InputError where the file is missing, damaged, or holds no triangle.
+    """
+    import pyvista as pv
+    import vtk
+
+    if not path.is_file():
+        raise InputError(f"{path}: no such file.")
+    if path.stat().st_size == 0:
+        raise InputError(f"{path}: the file is empty; export it again.")
+    vtk.vtkObject.GlobalWarningDisplayOff()
+    verbosity = vtk.vtkLogger.GetCurrentVerbosityCutoff()
+    vtk.vtkLogger.SetStderrVerbosity(vtk.vtkLogger.VERBOSITY_OFF)  # some readers warn past the switch above
+    try:
+        data = pv.read(path)
+        if not isinstance(data, pv.PolyData):
+            data = data.extract_surface(algorithm="dataset_surface")
+        data = data.triangulate()
+        points = np.asarray(data.points, dtype=np.float64)
+        faces = data.regular_faces if data.n_cells else np.zeros((0, 3))
+    except Exception as error:  # readers raise all sorts of things on damaged files
+        raise InputError(
+            f"{path}: the surface cannot be read, the file may be truncated or of another format "
+            f"({type(error).__name__}: {str(error)[:200]})."
+        ) from None
+    finally:
+        vtk.vtkLogger.SetStderrVerbosity(vtk.vtkLogger.ConvertToVerbosity(verbosity))
+    triangles = np.asarray(faces, dtype=np.int64).reshape(-1, 3)
+    if len(triangles) == 0 or len(points) == 0:
+        raise InputError(f"{path}: the file holds no triangles; it may be truncated, or hold points or lines only.")
+    if triangles.min() < 0 or triangles.max() >= len(points):
+        raise InputError(f"{path}: a triangle names a point that does not exist; export the file again.")
+    return points, triangles
+
+
+def unit_scale(points: FloatArray) -> tuple[float, str]:
+    """Factor to millimetres and a sentence about it, from the size: an atrium with its veins is 4 - 25 cm wide.
+
+    Raises AnatomyError where the size fits no unit.
+    """
+    width = float(np.ptp(points, axis=0).max())
+    for factor, unit in ((1.0, "millimetres"), (1e-3, "micrometres"), (1e3, "metres"), (10.0, "centimetres")):
+        if 25.0 <= width * factor <= 400.0:
+            words = "" if factor == 1.0 else f"the surface is {width:.4g} units wide: taken as {unit}, scaled to mm"
+            return factor, words
+    raise AnatomyError(f"the surface is {width:.4g} units wide, which is no left atrium in mm, micrometres, cm or m; rescale it.")
+
+
+def repair(points: FloatArray, triangles: IntArray) -> Repaired:
+    """A closed, outward oriented surface in mm from whatever triangles there are.
+
+    Clean surfaces keep their triangles and get caps over their openings. Where edges stay non-manifold, or holes are many, the
+    surface is rebuilt from voxels (0.5 mm). Raises AnatomyError where there is no closed cavity to be had.
+    """
+    notes: list[str] = []
+    bad = np.asarray(~np.isfinite(points).all(axis=1))
+    if bad.any():
+        hit = bad[triangles].any(axis=1)
+        triangles = triangles[~hit]
+        notes.append(f"{int(hit.sum())} triangles with coordinates that are not finite were dropped")
+        points = np.where(bad[:, None], 0.0, points)
+        if len(triangles) == 0:
+            raise AnatomyError("no triangle has finite coordinates.")
+        points, triangles = _used(points, triangles)
+    scale, words = unit_scale(points[np.unique(triangles)])
+    if words:
+        notes.append(words)
+    points = points * scale
+    if len(triangles) > MANY_TRIANGLES:
+        before = len(triangles)
+        points, triangles = _cluster(points, triangles)
+        notes.append(f"{before} triangles were thinned to {len(triangles)}")
+    points, triangles = _merge(points, triangles, notes)
+    triangles = _largest(points, triangles, notes)
+    points, triangles = _used(points, triangles)
+    triangles, manifold = _orient(triangles, notes)
+    rims: list[Rim] = []
+    loops = paths.loops(paths.open_edges(triangles)) if manifold else []
+    if manifold and len(loops) <= MANY_HOLES:
+        points, triangles, rims, small = _cap(points, triangles, loops, notes)
+        surface = compact(Surface(points, triangles, np.zeros(len(triangles), dtype=np.int64)))
+        if not defects(surface.triangles):
+            if surface.volume_ml() < 0:
+                surface = Surface(surface.points, surface.triangles[:, ::-1].copy(), surface.label)
+                notes.append("the surface was inside out and was turned")
+            rims = [_outward(r, surface) for r in rims]
+            if small > 1:
+                surface = smoothed(surface)
+                notes.append("patches were smoothed into the surface (voxels of 0.5 mm)")
+            return Repaired(surface, tuple(rims), tuple(notes), scale)
+        points, triangles = surface.points, surface.triangles
+    surface = from_voxels(points, triangles)
+    notes.append("the triangles did not make a closed surface: it was rebuilt from voxels of 0.5 mm")
+    return Repaired(surface, tuple(_outward(r, surface) for r in rims), tuple(notes), scale)
+
+
+def smoothed(surface: Surface, spacing_mm: float = 0.5) -> Surface:
+    """A closed surface anew from its voxels, of the same volume."""
+    from lacli.anatomy.inputs import extraction
+
+    field = voxels(surface, spacing_mm)
+    mask = field.with_array(field.array > 0.5)
+    again = extraction.surface_of(mask, sigma_mm=0.8, grid_mm=0.7)
+    grown = (surface.volume_ml() / again.volume_ml()) ** (1 / 3)
+    centre = again.points.mean(axis=0)
+    return Surface(centre + grown * (again.points - centre), again.triangles, again.label)
+
+
+def voxels(surface: Surface, spacing_mm: float) -> Image:
+    """1 inside a closed surface and 0 outside (float32), on an isotropic grid with a margin."""
+    import vtk
+    from vtk.util.numpy_support import vtk_to_numpy
+
+    from lacli.anatomy.pictures import polydata
+
+    margin = int(np.ceil(6.0 / spacing_mm))
+    low = surface.points.min(axis=0) - margin * spacing_mm
+    size = np.ceil(np.ptp(surface.points, axis=0) / spacing_mm).astype(int) + 2 * margin
+    stencil = vtk.vtkPolyDataToImageStencil()
+    stencil.SetInputData(polydata(surface))
+    stencil.SetOutputSpacing(spacing_mm, spacing_mm, spacing_mm)
+    stencil.SetOutputOrigin(*low)
+    stencil.SetOutputWholeExtent(0, int(size[0]) - 1, 0, int(size[1]) - 1, 0, int(size[2]) - 1)
+    paint = vtk.vtkImageStencilToImage()
+    paint.SetInputConnection(stencil.GetOutputPort())
+    paint.SetInsideValue(1)
+    paint.SetOutsideValue(0)
+    paint.SetOutputScalarTypeToUnsignedChar()
+    paint.Update()
+    array = vtk_to_numpy(paint.GetOutput().GetPointData().GetScalars()).reshape(size[::-1]).astype(np.float32)
+    return Image(array, np.full(3, spacing_mm), low, np.eye(3))
+
+
+def _used(points: FloatArray, triangles: IntArray) -> tuple[FloatArray, IntArray]:
+    used, local = np.unique(triangles, return_inverse=True)
+    return points[used], local.reshape(-1, 3)
+
+
+def _cluster(points: FloatArray, triangles: IntArray, size_mm: float = 0.5) -> tuple[FloatArray, IntArray]:
+    """Points of one cell of a grid become one."""
+    key = np.floor((points - points.min(axis=0)) / size_mm).astype(np.int64)
+    shape = key.max(axis=0) + 1
+    _, inverse = np.unique((key[:, 0] * shape[1] + key[:, 1]) * shape[2] + key[:, 2], return_inverse=True)
+    count = np.bincount(inverse)
+    centre = np.column_stack([np.bincount(inverse, weights=points[:, d]) / count for d in range(3)])
+    small = inverse[triangles]
+    return centre, _without_doubles(small)
+
+
+def _without_doubles(triangles: IntArray) -> IntArray:
+    """Without triangles of a repeated point, and each set of three points once."""
+    proper = (triangles[:, 0] != triangles[:, 1]) & (triangles[:, 1] != triangles[:, 2]) & (triangles[:, 2] != triangles[:, 0])
+    triangles = triangles[proper]
+    if len(triangles) == 0:
+        return triangles
+    ordered = np.sort(triangles, axis=1)
+    size = int(triangles.max()) + 1
+    _, first = np.unique((ordered[:, 0] * size + ordered[:, 1]) * size + ordered[:, 2], return_index=True)
+    return triangles[np.sort(first)]
+
+
+def _merge(points: FloatArray, triangles: IntArray, notes: list[str]) -> tuple[FloatArray, IntArray]:
+    step = 1e-4
+    key = np.round(points / step).astype(np.int64)
+    _, first, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    merged = len(points) - len(first)
+    if merged:
+        notes.append(f"{merged} duplicate points were merged")
+    before = len(triangles)
+    triangles = _without_doubles(inverse.reshape(-1)[triangles])
+    if len(triangles) < before:
+        notes.append(f"{before - len(triangles)} degenerate or duplicate triangles were dropped")
+    if len(triangles) == 0:
+        raise AnatomyError("no proper triangle is left after duplicates are merged.")
+    return points[first], triangles
+
+
+def _largest(points: FloatArray, triangles: IntArray, notes: list[str]) -> IntArray:
+    count, part = paths.triangle_components(triangles)
+    if count == 1:
+        return triangles
+    a, b, c = (points[triangles[:, i]] for i in range(3))
+    area = np.bincount(part, weights=0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1), minlength=count)
+    best = int(np.argmax(area))
+    if area[best] < 0.5 * area.sum():
+        # a soup: nothing is connected; all of it is kept for the voxels to judge
+        return triangles
+    order = np.argsort(-area)
+    if area[order[1]] > 0.25 * area[best]:
+        raise AnatomyError(
+            f"the surface falls in {count} unconnected parts, the two largest of {area[best]:.0f} and {area[order[1]]:.0f} mm2; "
+            "join them, or delete what is not the left atrium."
+        )
+    notes.append(f"{count - 1} smaller unconnected parts ({area.sum() - area[best]:.0f} mm2 of {area.sum():.0f}) were dropped")
+    return triangles[part == best]
+
+
+def _orient(triangles: IntArray, notes: list[str]) -> tuple[IntArray, bool]:
+    """Neighbours turned the same way; False where an edge has more than two triangles or the turn contradicts itself."""
+    _, count, of = paths.edge_table(triangles)
+    if (count > 2).any():
+        notes.append(f"{int((count > 2).sum())} non-manifold edges were found")
+        return triangles, False
+    from collections import deque
+
+    # (t, 3): whether a triangle runs each of its sides in the edge's sorted direction
+    forward = triangles[:, [0, 1, 2]] < triangles[:, [1, 2, 0]]
+    flat = np.argsort(of.ravel(), kind="stable")
+    edge_sorted = of.ravel()[flat]
+    pair = np.flatnonzero(edge_sorted[1:] == edge_sorted[:-1])
+    left, right = flat[pair], flat[pair + 1]
+    differs = forward.ravel()[left] == forward.ravel()[right]
+    if not differs.any():
+        return triangles, True
+    neighbours: list[list[tuple[int, bool]]] = [[] for _ in range(len(triangles))]
+    for a, b, d in zip((left // 3).tolist(), (right // 3).tolist(), differs.tolist(), strict=True):
+        neighbours[a].append((b, d))
+        neighbours[b].append((a, d))
+    turn = np.full(len(triangles), -1, dtype=np.int8)
+    for seed in range(len(triangles)):
+        if turn[seed] >= 0:
+            continue
+        turn[seed] = 0
+        queue = deque([seed])
+        while queue:
+            here = queue.popleft()
+            for there, d in neighbours[here]:
+                wanted = turn[here] ^ int(d)
+                if turn[there] < 0:
+                    turn[there] = wanted
+                    queue.append(there)
+                elif turn[there] != wanted:
+                    notes.append("the surface has no two sides (a Moebius band)")
+                    return triangles, False
+    flips = min(int((turn == 1).sum()), int((turn == 0).sum()))
+    notes.append(f"{flips} triangles were turned to match their neighbours")
+    return np.where((turn == 1)[:, None], triangles[:, ::-1], triangles), True
+
+
+def _cap(
+    points: FloatArray, triangles: IntArray, loops: list[IntArray], notes: list[str]
+) -> tuple[FloatArray, IntArray, list[Rim], int]:
+    """Caps over all loops; the long ones are openings, the number of short ones is returned."""
+    rims, small = [], 0
+    everything = [triangles]
+    for loop in loops:
+        points, cap = clipping.fill_rim(points, loop, triangles)
+        everything.append(cap)
+        a, b, c = (points[cap[:, i]] for i in range(3))
+        normal = np.cross(b - a, c - a).sum(axis=0)
+        # of the circle of the same area: a ragged rim is no longer than a smooth one
+        length = float(np.sqrt(2.0 * np.pi * np.linalg.norm(normal)))
+        if length >= OPENING_MM:
+            rims.append(Rim(points[loop].mean(axis=0), normal / max(float(np.linalg.norm(normal)), 1e-12), length))
+        else:
+            small += 1
+    if small:
+        notes.append(f"{small} holes were filled")
+    if rims:
+        notes.append(f"{len(rims)} rims of {OPENING_MM:g} mm or more were found")
+    return points, np.vstack(everything), sorted(rims, key=lambda r: -r.length_mm), small
+
+
+def _outward(rim: Rim, surface: Surface) -> Rim:
+    """The rim's normal, away from the surface's middle."""
+    sense = np.sign((rim.centre - surface.points.mean(axis=0)) @ rim.normal) or 1.0
+    return Rim(rim.centre, sense * rim.normal, rim.length_mm)
+
+
+def from_voxels(points: FloatArray, triangles: IntArray, spacing_mm: float = 0.5) -> Surface:
+    """The cavity that triangles enclose up to gaps: walls are thickened until a flood from outside does not get in.
+
+    Gaps up to 6 mm are bridged. Raises AnatomyError where the flood always gets in.
+    """
+    from lacli.anatomy.inputs import extraction
+
+    low = points.min(axis=0) - 10.0
+    size = np.ceil((points.max(axis=0) + 10.0 - low) / spacing_mm).astype(int)
+    if np.prod(size.astype(float)) > 3e8:
+        raise AnatomyError("the surface is too wide to be rebuilt from voxels; remove what lies far from the atrium.")
+    sample = _sample(points, triangles, 0.6 * spacing_mm)
+    wall = np.zeros(size[::-1], dtype=bool)
+    index = np.round((sample - low) / spacing_mm).astype(int)
+    wall[index[:, 2], index[:, 1], index[:, 0]] = True
+    distance = ndimage.distance_transform_edt(~wall) * spacing_mm
+    enclosed_least = 0.2 * float(np.prod(np.ptp(points, axis=0))) / spacing_mm**3
+    for reach in (0.6, 1.0, 1.5, 2.0, 3.0):
+        room, _ = ndimage.label(distance > reach)
+        outside = room == room[0, 0, 0]
+        inside = (distance > reach) & ~outside
+        if inside.sum() > 0.3 * enclosed_least:
+            parts, _ = ndimage.label(inside)
+            inside = parts == 1 + int(np.argmax(np.bincount(parts.ravel())[1:]))
+            # grow back to the wall itself, half of its thickened layer
+            grown = ndimage.distance_transform_edt(~inside) * spacing_mm <= reach
+            mask = Image(grown & ~outside, np.full(3, spacing_mm), low, np.eye(3))
+            return extraction.surface_of(mask, sigma_mm=max(0.8, reach), grid_mm=0.8)
+    raise AnatomyError(
+        "the triangles enclose no cavity, even with gaps up to 6 mm bridged; close the surface in the tool that wrote it."
+    )
+
+
+def _sample(points: FloatArray, triangles: IntArray, step: float) -> FloatArray:
+    """Points on the triangles, at most about ``step`` apart."""
+    a, b, c = (points[triangles[:, i]] for i in range(3))
+    longest = np.max([np.linalg.norm(b - a, axis=1), np.linalg.norm(c - b, axis=1), np.linalg.norm(a - c, axis=1)], axis=0)
+    count = np.minimum(np.ceil(longest / step).astype(int), 400)
+    out = []
+    for n in np.unique(count):
+        mine = count == n
+        i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1))
+        keep = i + j <= n
+        s, t = i[keep] / max(n, 1), j[keep] / max(n, 1)
+        out.append((a[mine][:, None] + s[:, None] * (b - a)[mine][:, None] + t[:, None] * (c - a)[mine][:, None]).reshape(-1, 3))
+    return np.concatenate(out)

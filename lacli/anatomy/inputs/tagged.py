@@ -1,0 +1,262 @@
+"""Tetrahedra with named boundary surfaces (a four-chamber heart's left atrium) -> bundle."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import meshio
+import numpy as np
+
+from lacli.anatomy.coordinates.describe import describe
+from lacli.anatomy.coordinates.frame import frame_from_openings, height, sectors, sweep, two_layer_fibres, unit
+from lacli.anatomy.openings.caps import Plate, extrude_plate, rim_loops, triangulate_loop
+from lacli.base.arrays import FloatArray, IntArray
+from lacli.base.errors import AnatomyError
+from lacli.contracts.bundle import Bundle
+from lacli.contracts.labels import ENDO, EPI, OPENINGS, OTHER, PLANES, RINGS
+from lacli.geometry import laplace
+from lacli.geometry.surface import Surface, check, compact, nearest, unique_edges
+from lacli.geometry.tetrahedra import boundary_faces, elevate, row_keys, volumes
+
+# opening -> words that all occur in its cap's name
+CAP_WORDS: dict[str, tuple[str, ...]] = {
+    "mv": ("mitral-valve-atrium",),
+    "rspv": ("right", "superior", "vein"),
+    "ripv": ("right", "inferior", "vein"),
+    "lspv": ("left", "superior", "vein"),
+    "lipv": ("left", "inferior", "vein"),
+    "appendage": ("atrium-appendage",),
+}
+
+
+@dataclass(frozen=True)
+class TaggedMesh:
+    """points (n, 3) mm; tets (m, 4); endo (t, 3) point ids; rims: opening -> rim (k,) of point ids; cavity: closed surface."""
+
+    points: FloatArray
+    tets: IntArray
+    endo: IntArray
+    rims: dict[str, IntArray]
+    cavity: Surface
+
+
+def read_tagged(
+    tets_file: Path,
+    surfaces_file: Path,
+    names_json: Path,
+    cell_size_mm: float | None = None,
+    order: int = 2,
+    thickness_mm: float = 2.0,
+    ring_width_mm: float = 2.5,
+    chamber: str = "Left atrium",
+    rule: str = "laplace-dirichlet",
+) -> Bundle:
+    """Read tetrahedra, their named surfaces and the names' ids into a bundle.
+
+    ``cell_size_mm`` None keeps the tetrahedra as they are and adds the valve planes (each cap and the wall's cut face
+    around it, extruded outward by ``thickness_mm``); a number remeshes the closed cavity surface to that edge
+    length and builds a wall of ``thickness_mm`` round it. ``chamber`` is the prefix of its surfaces' names. ``rule``: of
+    coordinates.RULES, with regions by universal atrial coordinates, or "simple": both by the atrium's axes (see frame).
+    Raises AnatomyError where a file, a name or a surface does not fit.
+    """
+    mesh = read_mesh(Path(tets_file), Path(surfaces_file), Path(names_json), chamber)
+    if cell_size_mm is not None:
+        from lacli.anatomy.wall.shell import mesh_shell
+
+        bundle = mesh_shell(mesh.cavity, thickness_mm, cell_size_mm, order=order, ring_width_mm=ring_width_mm)
+        bundle = replace(bundle, info={"source": str(tets_file), **bundle.info})
+    else:
+        bundle = _as_is(mesh, order, thickness_mm, ring_width_mm, str(tets_file))
+    return bundle if rule == "simple" else describe(bundle, rule=rule).bundle
+
+
+def read_mesh(tets_file: Path, surfaces_file: Path, names_json: Path, chamber: str) -> TaggedMesh:
+    """Read the three files; surfaces are tied to the tetrahedra by position (their point numbering differs)."""
+    import pyvista as pv
+
+    for file in (tets_file, surfaces_file, names_json):
+        if not file.is_file():
+            raise AnatomyError(f"{file}: no such file.")
+    try:
+        volume = meshio.read(tets_file)
+        surface = pv.read(surfaces_file)
+        names = {int(k): str(v) for k, v in json.loads(names_json.read_text())["_surface_id_to_name"].items()}
+    except Exception as error:  # readers raise all sorts of things on damaged files
+        raise AnatomyError(f"{tets_file.parent}: the files cannot be read ({type(error).__name__}: {error}).") from error
+    points = np.asarray(volume.points, dtype=np.float64)
+    if "tetra" not in volume.cells_dict:
+        raise AnatomyError(f"{tets_file}: there are no linear tetrahedra in it.")
+    tets = np.asarray(volume.cells_dict["tetra"], dtype=np.int64)
+    turned = volumes(points, tets) < 0
+    tets[turned] = tets[turned][:, [0, 2, 1, 3]]
+    faces = surface.faces.reshape(-1, 4)[:, 1:].astype(np.int64)
+    surface_points = np.asarray(surface.points, dtype=np.float64)
+    ids = np.asarray(surface.cell_data["surface_id"]).astype(np.int64)
+
+    def named(words: tuple[str, ...], exact: bool = False) -> IntArray:
+        present = [i for i in np.unique(ids) if i in names]
+        if exact:
+            hit = [i for i in present if names[i].lower() == words[0].lower()]
+        else:
+            hit = [
+                i
+                for i in present
+                if all(w in names[i].lower() for w in words) and "_" not in names[i] and "border" not in names[i]
+            ]
+        if len(hit) != 1:
+            found = ", ".join(names[i] for i in present)
+            raise AnatomyError(
+                f"{surfaces_file.name}: wanted one surface named {' '.join(words)!r}, found {len(hit)} among: {found}."
+            )
+        return faces[ids == hit[0]]
+
+    distance, at = nearest(points, surface_points)
+    endo = at[named((f"{chamber} endocardium",), exact=True)]
+    if distance[np.unique(named((f"{chamber} endocardium",), exact=True))].max() > 1e-3:
+        raise AnatomyError(f"{surfaces_file}: the endocardium's points are not points of {tets_file.name}; the files do not fit.")
+    outside, _ = boundary_faces(tets)
+    endo = outside[np.isin(row_keys(outside, len(points)), row_keys(endo, len(points)))]
+    caps = {opening: surface_points[np.unique(named(CAP_WORDS[opening]))] for opening in OPENINGS}
+    rims = _rims(endo, points, caps, str(surfaces_file))
+    return TaggedMesh(points, tets, endo, rims, _closed(points, endo, rims))
+
+
+def _rims(endo: IntArray, points: FloatArray, caps: dict[str, FloatArray], where: str) -> dict[str, IntArray]:
+    """Each opening's rim (k,) of point ids: the endocardium's open loop that lies on its cap."""
+    loops = rim_loops(endo)
+    if len(loops) != len(caps):
+        raise AnatomyError(f"{where}: the endocardium has {len(loops)} openings, expected {len(caps)} ({', '.join(caps)}).")
+    apart = np.array([[nearest(cap, points[loop])[0].mean() for loop in loops] for cap in caps.values()])
+    best = apart.argmin(axis=1)
+    if len(set(best.tolist())) != len(loops):
+        raise AnatomyError(f"{where}: two of the caps lie on the same opening of the endocardium.")
+    return {name: loops[k] for name, k in zip(caps, best, strict=True)}
+
+
+def _closed(points: FloatArray, endo: IntArray, rims: dict[str, IntArray]) -> Surface:
+    """The endocardium, turned outward, and a smooth triangulation over each rim (the files' own caps are fans)."""
+    points = _even_rims(points, endo, rims)
+    centre = points[np.unique(endo)].mean(axis=0)
+    triangles, label = [endo[:, ::-1]], [np.zeros(len(endo), dtype=np.int64)]
+    everything = points
+    for name, rim in rims.items():
+        ring = points[rim]
+        # the endocardium's triangles look into the cavity, so its rim runs clockwise seen from outside
+        normal = unit(np.cross(ring - ring.mean(axis=0), np.roll(ring, -1, axis=0) - ring.mean(axis=0)).sum(axis=0))
+        outward = normal if normal @ (ring.mean(axis=0) - centre) > 0 else -normal
+        inner, cap = triangulate_loop(everything, rim, outward)
+        everything = np.vstack([everything, inner])
+        triangles.append(cap)
+        label.append(np.full(len(cap), PLANES[name]))
+    surface = compact(Surface(everything, np.vstack(triangles), np.concatenate(label)))
+    check(surface, "cavity of the named surfaces")
+    return surface
+
+
+def _even_rims(points: FloatArray, endo: IntArray, rims: dict[str, IntArray], reach_mm: float = 4.0) -> FloatArray:
+    """Points with the rims' zigzag (cells cut along their faces) smoothed out, the endocardium near them following.
+
+    Each rim is averaged along itself by about three edges and scaled back to its area; points of the wall within
+    ``reach_mm`` of a rim take the mean of their neighbours, fading with distance.
+    """
+    points = points.copy()
+    fixed = np.zeros(len(points), dtype=bool)
+    for rim in rims.values():
+        ring = points[rim]
+
+        def size(x: FloatArray) -> float:
+            return float(np.linalg.norm(np.cross(x - x.mean(axis=0), np.roll(x, -1, axis=0) - x.mean(axis=0)).sum(axis=0)))
+
+        smooth = ring
+        for _ in range(10):
+            smooth = 0.5 * smooth + 0.25 * (np.roll(smooth, 1, axis=0) + np.roll(smooth, -1, axis=0))
+        middle = smooth.mean(axis=0)
+        points[rim] = middle + (smooth - middle) * np.sqrt(size(ring) / size(smooth))
+        fixed[rim] = True
+    edges, _ = unique_edges(endo)
+    used = np.unique(endo)
+    distance = np.full(len(points), np.inf)
+    distance[used] = nearest(points[fixed], points[used])[0]
+    weight = np.where(fixed, 0.0, np.clip(1.0 - distance / reach_mm, 0.0, 1.0))[:, None]
+    count = np.maximum(np.bincount(edges.ravel(), minlength=len(points)), 1)[:, None]
+    for _ in range(10):
+        total = np.zeros_like(points)
+        np.add.at(total, edges[:, 0], points[edges[:, 1]])
+        np.add.at(total, edges[:, 1], points[edges[:, 0]])
+        points = points + weight * (total / count - points)
+    return points
+
+
+def _as_is(mesh: TaggedMesh, order: int, thickness: float, ring_width: float, where: str) -> Bundle:
+    """The tetrahedra untouched, valve planes added."""
+    points, tets = mesh.points, mesh.tets
+    outside, _ = boundary_faces(tets)
+    size = len(points)
+    is_endo = np.isin(row_keys(outside, size), row_keys(mesh.endo, size))
+    endo, rest = outside[is_endo], outside[~is_endo]
+    centre = mesh.cavity.points.mean(axis=0)
+    region = np.zeros(len(tets), dtype=np.int64)
+    caps: list[tuple[IntArray, int]] = []
+    middle = points[tets].mean(axis=1)
+    ring_distance = np.full(len(tets), np.inf)
+    for name in OPENINGS:
+        plate: Plate = extrude_plate(points, mesh.rims[name], rest, centre, thickness)
+        points = np.vstack([points, plate.points])
+        tets = np.vstack([tets, plate.tets])
+        region = np.append(region, np.full(len(plate.tets), PLANES[name]))
+        caps.append((plate.cap, PLANES[name]))
+        # across the cut face, or from its inner edge through the wall's thickness
+        near = nearest(mesh.points[np.union1d(plate.annulus, mesh.rims[name])], middle)[0]
+        near = np.minimum(near, nearest(mesh.points[mesh.rims[name]], middle)[0] - 0.5 * thickness)
+        closer = (near < ring_width) & (near < ring_distance)
+        region[: len(middle)][closer] = RINGS[name]
+        ring_distance = np.minimum(ring_distance, near)
+    openings = {name: points[mesh.rims[name]].mean(axis=0) for name in OPENINGS}
+    frame = frame_from_openings(centre, openings)
+    body = region == 0
+    region[body] = sectors(frame, points[tets[body]].mean(axis=1))
+    triangles, owner = boundary_faces(tets)
+    size = len(points)
+    tags = np.where(region[owner] >= 21, OTHER, np.where(region[owner] >= 11, region[owner], EPI))
+    keys = row_keys(triangles, size)
+    tags[np.isin(keys, row_keys(endo, size))] = ENDO
+    for cap, label in caps:
+        tags[np.isin(keys, row_keys(cap, size))] = label
+    return finish(points, tets, region, triangles, tags, frame, order, {"source": where})
+
+
+def finish(
+    points: FloatArray,
+    tets: IntArray,
+    region: IntArray,
+    triangles: IntArray,
+    tags: IntArray,
+    frame: object,
+    order: int,
+    info: dict[str, object],
+) -> Bundle:
+    """Coordinates and fibres by the frame's rules, second order if asked, into a bundle."""
+    from lacli.anatomy.coordinates.frame import AtrialFrame
+
+    assert isinstance(frame, AtrialFrame)
+    grad = laplace.gradient(points, tets)
+    inside = np.unique(triangles[(tags == ENDO) | (tags >= 21)])
+    far = np.setdiff1d(np.unique(triangles[(tags == EPI) | (tags == OTHER) | ((tags >= 11) & (tags <= 16))]), inside)
+    transmural = laplace.solve(laplace.stiffness(grad, len(points)), {0.0: inside, 1.0: far})
+    depth = grad.of(transmural)
+    normals = depth / np.maximum(np.linalg.norm(depth, axis=1, keepdims=True), 1e-12)
+    fibre = two_layer_fibres(frame, normals, transmural[tets].mean(axis=1))
+    if order == 2:
+        edges_from = len(points)
+        points, tets, triangles = elevate(points, tets, triangles)
+        from lacli.geometry.tetrahedra import TET10_EDGES
+
+        full = np.concatenate([transmural, np.zeros(len(points) - edges_from)])
+        for i, (a, b) in enumerate(TET10_EDGES):
+            full[tets[:, 4 + i]] = (transmural[tets[:, a]] + transmural[tets[:, b]]) / 2
+        transmural = full
+    return Bundle(
+        points, tets, region, triangles, tags, fibre, transmural, sweep(frame, points), height(frame, points), dict(info)
+    )

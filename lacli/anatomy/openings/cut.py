@@ -1,0 +1,75 @@
+"""Flat cuts through a closed surface: what lies beyond is removed, the opening closed by a labelled plane."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from lacli.anatomy.coordinates.frame import unit
+from lacli.anatomy.openings.caps import rim_loops, triangulate_loop
+from lacli.base.arrays import FloatArray, IntArray
+from lacli.base.errors import AnatomyError
+from lacli.geometry import isolines as isoline
+from lacli.geometry.surface import Surface, check, compact
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A plane through ``centre`` (3,) mm, ``direction`` (3,) unit and outward; what is removed hangs together with the
+    plane's opening and lies within ``reach_mm`` of the centre across the direction; ``label`` of the plane (PLANES)."""
+
+    centre: FloatArray
+    direction: FloatArray
+    reach_mm: float
+    label: int
+
+
+def cut_open(surface: Surface, cut: Cut) -> Surface:
+    """Remove what lies beyond ``cut`` and close the opening by a flat plane with its label.
+
+    Raises AnatomyError where the plane does not cross the surface in one closed curve near its centre.
+    """
+    relative = surface.points - cut.centre
+    height = relative @ cut.direction
+    across = np.linalg.norm(relative - height[:, None] * cut.direction, axis=1)
+    height = np.where(across < cut.reach_mm, height, np.minimum(height, -1.0))
+    surface, height = isoline.snap(surface, height, np.ones(len(height), dtype=bool))
+    surface, height = isoline.split(surface, height)
+    points, triangles, label = surface.points, surface.triangles, surface.label
+    beyond = height[triangles].sum(axis=1) > 0
+    if not beyond.any() or beyond.all():
+        raise AnatomyError(f"The plane at ({_text(cut.centre)}) does not cut the surface.")
+    kept, kept_label = _largest(triangles[~beyond], label[~beyond])
+    loops = [loop for loop in rim_loops(kept) if np.abs((points[loop] - cut.centre) @ cut.direction).max() < 1e-3]
+    loops = [loop for loop in loops if np.linalg.norm(points[loop].mean(axis=0) - cut.centre) < cut.reach_mm]
+    if len(loops) != 1:
+        raise AnatomyError(
+            f"The plane at ({_text(cut.centre)}) cuts the surface in {len(loops)} closed curves, expected one; "
+            "move it along the vessel."
+        )
+    inner, cap = triangulate_loop(points, loops[0], unit(cut.direction))
+    result = compact(
+        Surface(
+            np.vstack([points, inner]),
+            np.vstack([kept, cap]),
+            np.concatenate([kept_label, np.full(len(cap), cut.label)]),
+        )
+    )
+    check(result, f"surface cut at ({_text(cut.centre)})")
+    return result
+
+
+def _largest(triangles: IntArray, label: IntArray) -> tuple[IntArray, IntArray]:
+    n = int(triangles.max()) + 1
+    graph = coo_matrix((np.ones(2 * len(triangles)), (triangles[:, [0, 1]].ravel(), triangles[:, [1, 2]].ravel())), shape=(n, n))
+    _, piece = connected_components(graph, directed=False)
+    of_triangle = piece[triangles[:, 0]]
+    keep = of_triangle == np.bincount(of_triangle).argmax()
+    return triangles[keep], label[keep]
+
+
+def _text(point: FloatArray) -> str:
+    return ", ".join(f"{x:.1f}" for x in point)

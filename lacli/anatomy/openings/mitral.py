@@ -1,0 +1,108 @@
+"""Where the mitral valve is: from the contact with the ventricle, or from the atrium's shape alone."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from lacli.anatomy.inputs.image import Image
+from lacli.anatomy.openings import branches
+from lacli.anatomy.openings.landmarks import Opening
+from lacli.base.arrays import FloatArray
+from lacli.base.errors import AnatomyError
+from lacli.geometry import curves as paths
+from lacli.geometry.surface import Surface
+
+LEAST_CUT_MM = 0.5
+
+
+def lv_contact(labels: Image, lv: int, surface: Surface) -> FloatArray | None:
+    """(k, 3) mm: points of the surface that face the ventricle's voxels; None where fewer than an annulus would give.
+
+    The distance allowed grows from 1.5 voxels to 6 mm, for maps that leave room for the leaflets.
+    """
+    where = labels.array == lv
+    if not where.any():
+        raise AnatomyError(f"label {lv} (left ventricle) has no voxel in the image.")
+    shell = where & ~ndimage.binary_erosion(where)
+    voxels = labels.to_world(np.argwhere(shell)[:, ::-1])
+    low, high = surface.points.min(axis=0) - 8.0, surface.points.max(axis=0) + 8.0
+    voxels = voxels[((voxels > low) & (voxels < high)).all(axis=1)]
+    if len(voxels) == 0:
+        return None
+    distance, _ = cKDTree(voxels).query(surface.points, distance_upper_bound=8.0)
+    point_area = np.bincount(
+        surface.triangles.ravel(), weights=np.repeat(surface.areas() / 3.0, 3), minlength=len(surface.points)
+    )
+    for reach in (1.5 * float(labels.spacing.max()), 2.0, 3.0, 4.5, 6.0):
+        near = distance <= reach
+        if point_area[near].sum() >= 200.0:
+            return surface.points[near]
+    return None
+
+
+def mitral_from_contact(surface: Surface, contact: FloatArray) -> Opening:
+    """The plane through the border of the patch that faces the ventricle; its normal points there."""
+    near = np.zeros(len(surface.points), dtype=bool)
+    near[cKDTree(surface.points).query(contact)[1]] = True
+    patch = near[surface.triangles].all(axis=1)
+    _, part = paths.triangle_components(surface.triangles, patch)
+    if not patch.any():
+        raise AnatomyError("the ventricle touches the atrium in scattered points only; give [mv] in landmarks.toml.")
+    area = surface.areas()
+    patch = part == int(np.argmax(np.bincount(part[patch], weights=area[patch])))
+    vectors = surface.area_vectors()[patch]
+    outward = vectors.sum(axis=0)
+    outward /= np.linalg.norm(outward)
+    edge = paths.border_edges(surface.triangles, patch)
+    rim = max(paths.loops(edge), key=lambda loop: paths.perimeter(surface.points, loop))
+    ring = surface.points[rim]
+    centre = ring.mean(axis=0)
+    _, _, axes = np.linalg.svd(ring - centre)
+    normal = axes[2] * np.sign(axes[2] @ outward)
+    if normal @ outward < 0.5:  # a ragged border: the patch's own mean direction is safer
+        normal = outward
+    middle = surface.points[surface.triangles[patch]].mean(axis=1)
+    beyond = middle[int(np.argmax((middle - centre) @ normal))]
+    size = float(area[patch].sum())
+    ratio = float(np.linalg.norm(vectors.sum(axis=0)) / size)
+    # a flat patch is cut just under its top, so that the plane does not graze it
+    top = float(((middle - centre) @ normal).max())
+    if top < LEAST_CUT_MM:
+        centre = centre - (LEAST_CUT_MM - top) * normal
+    return Opening(
+        "mv",
+        centre,
+        normal,
+        beyond,
+        float(2 * np.sqrt(size / np.pi)),
+        round(min(0.99, ratio), 2),
+        "contact with the left ventricle",
+    )
+
+
+def mitral_from_shape(surface: Surface, skeleton: branches.Skeleton) -> Opening:
+    """Without a ventricle: the largest flat patch of the surface, else the side opposite the veins."""
+    normals, area = surface.normals(), surface.areas()
+    middle = surface.points[surface.triangles].mean(axis=1)
+    ostia = np.array([b.centre for b in skeleton.branches]) if skeleton.branches else skeleton.middle[None]
+    down = skeleton.middle - ostia.mean(axis=0)
+    down /= max(float(np.linalg.norm(down)), 1e-9)
+    best: tuple[float, FloatArray, FloatArray] | None = None
+    facing = np.flatnonzero(normals @ down > 0.2)
+    for seed in facing[:: max(1, len(facing) // 150)]:
+        n, c = normals[seed], middle[seed]
+        flat = (normals @ n > 0.97) & (np.abs((middle - c) @ n) < 0.6)
+        size = float(area[flat].sum())
+        if best is None or size > best[0]:
+            best = (size, n, np.average(middle[flat], axis=0, weights=area[flat]))
+    if best is not None and best[0] > 350.0:
+        size, normal, centre = best
+        top = ((middle - centre) @ normal)[np.linalg.norm(middle - centre, axis=1) < np.sqrt(size)].max()
+        centre = centre + (min(float(top), 0.0) - 0.7) * normal
+        return Opening("mv", centre, normal, centre + 2.0 * normal, float(2 * np.sqrt(size / np.pi)), 0.6, "largest flat patch")
+    reach = float(((surface.points - skeleton.middle) @ down).max())
+    centre = skeleton.middle + 0.75 * reach * down
+    beyond = surface.points[int(np.argmax((surface.points - skeleton.middle) @ down))]
+    return Opening("mv", centre, down, beyond, 30.0, 0.2, "opposite the veins")

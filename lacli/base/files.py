@@ -1,0 +1,131 @@
+"""Files written whole or not at all, and what goes wrong with a disk, in words."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import functools
+import json
+import os
+import struct
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from lacli.base.errors import StorageError
+
+# what numpy raises on an .npz file that is cut short, overwritten in the middle, or no such file at all
+DAMAGED = (
+    OSError, EOFError, KeyError, IndexError, ValueError, TypeError, RuntimeError, MemoryError,
+    struct.error, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+_IN_THE_WAY = "{}: a folder of that name is in the way. Choose another name."
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield a temporary path in ``path``'s folder; when the block ends well it becomes ``path``, else it is removed.
+
+    The folder is made if absent. Raises StorageError if the disk is full or the place is not writable.
+    """
+    with storing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # the suffix stays, because writers choose the format by it
+        handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
+        os.close(handle)
+        temporary = Path(name)
+        try:
+            temporary.chmod(0o666 & ~_umask())
+            yield temporary
+            _sync(temporary)
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+
+def check_folder(folder: Path) -> None:
+    """Before the work: whether the folder is one, or can be made. Raises StorageError; leaves nothing."""
+    there = next(p for p in (folder, *folder.absolute().parents) if p.exists() or p.is_symlink())
+    if not there.is_dir():
+        what = "a file" if there.exists() else "a link that leads nowhere"
+        raise StorageError(f"{folder}: cannot be written, {there} is {what}; choose another --out.")
+    try:  # permissions do not tell of file systems that are read-only, or none
+        with tempfile.TemporaryDirectory(prefix=".part-", dir=there):
+            pass
+    except OSError as error:
+        raise StorageError(
+            f"{folder}: cannot be written, nothing can be made in {there} ({error.strerror}); choose another --out."
+        ) from None
+
+
+def check_file(path: Path) -> None:
+    """Before the work: whether a file can be put there, its folder made if absent. Raises StorageError; leaves nothing."""
+    if path.is_dir():
+        raise StorageError(_IN_THE_WAY.format(path))
+    check_folder(path.parent)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file atomically (UTF-8). Raises StorageError."""
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def write_json(path: Path, document: Any) -> None:
+    """Write JSON atomically; a number that is not finite is refused with ValueError. Raises StorageError."""
+    write_text(path, json.dumps(document, indent=2, allow_nan=False, default=_jsonable) + "\n")
+
+
+def _jsonable(value: Any) -> Any:
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    if isinstance(value, Path):
+        return str(value)
+    raise TypeError(f"{type(value).__name__} has no place in JSON")
+
+
+@contextlib.contextmanager
+def storing(path: Path) -> Iterator[None]:
+    """Errors of writing ``path`` become StorageError."""
+    try:
+        with room(path):
+            yield
+    except OSError as error:
+        if error.errno in (errno.EACCES, errno.EROFS, errno.EPERM):
+            raise StorageError(f"{path}: no permission to write here. Choose another folder.") from error
+        if error.errno in (errno.ENOTDIR, errno.EEXIST):
+            raise StorageError(f"{path}: a file is in the way ({error.filename}). Choose another folder.") from error
+        if error.errno == errno.EISDIR:
+            raise StorageError(_IN_THE_WAY.format(path)) from error
+        raise
+
+
+@contextlib.contextmanager
+def room(path: Path) -> Iterator[None]:
+    """A full disk becomes StorageError."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in _FULL:
+            raise
+        text = f"{error.filename or path}: the disk is full. Free some space and run again; what was finished is kept."
+        raise StorageError(text) from error
+
+
+def _sync(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+@functools.lru_cache(maxsize=1)
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

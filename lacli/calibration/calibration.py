@@ -1,0 +1,351 @@
+"""Calibration of one patient: waves of runs, the posterior, and the simulation at its most probable point.
+
+Everything a step leaves behind is a file in the calibration's folder; a step whose files exist is not done again, and
+all random numbers come from the seed and the step's number: an interrupted calibration, started again, ends the same.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lacli.base.arrays import FloatArray
+from lacli.base.errors import InputError, LacliError, UsageError
+from lacli.base.files import DAMAGED, replacing, write_json
+from lacli.contracts.targets import Targets
+from lacli.inference import posterior as mcmc
+from lacli.inference.box import Box
+from lacli.inference.design import design
+from lacli.inference.emulation.emulator import fit_emulators
+from lacli.inference.emulation.emulator_set import EmulatorSet, load_emulators, save_emulators
+from lacli.inference.emulation.feasibility import learn
+from lacli.inference.likelihood import Density
+from lacli.inference.matching import Match, Region, Wave, match, next_runs, ruled_out_by
+from lacli.inference.nroy import EmptyRegionError, RegionSample
+from lacli.inference.runs import RunLog, Simulator
+
+
+@dataclass(frozen=True)
+class Settings:
+    """first_runs, then wave_runs for each wave; thresholds of the waves (the last one goes on); stop when the region's
+    share changes by less than ``tolerance``, after max_waves, max_runs or when another wave would exceed ``hours``."""
+
+    first_runs: int = 200
+    wave_runs: int = 100
+    max_waves: int = 5
+    thresholds: tuple[float, ...] = (3.5, 3.0)
+    tolerance: float = 0.01
+    max_runs: int = 10_000
+    hours: float = float("inf")
+    draws: int = 8
+    starts: int = 2
+    prior: str = "nroy"
+    seed: int = 0
+    mcmc: mcmc.Settings = field(default_factory=mcmc.Settings)
+
+
+@dataclass(frozen=True)
+class WaveReport:
+    """One wave, as recorded: runs used and failed, held-out R2 by output, share of the box left with standard error,
+    change: the part of it that better emulators removed (NaN in the first wave)."""
+
+    wave: int
+    runs: int
+    failed: int
+    threshold: float
+    r2: dict[str, float]
+    share: float
+    share_sd: float
+    change: float
+    notes: list[str]
+
+
+@dataclass(frozen=True)
+class Status:
+    """Where a calibration stands, for a dashboard."""
+
+    stage: str
+    wave: int
+    done: int
+    total: int
+    waves: tuple[WaveReport, ...] = ()
+
+
+Monitor = Callable[[Status], None]
+
+
+def _ticker(monitor: Monitor, stage: str, wave: int, reports: list[WaveReport]) -> Callable[[int, int], None]:
+    """A function of (done, total) that tells the monitor."""
+    waves = tuple(reports)
+    return lambda done, total: monitor(Status(stage, wave, done, total, waves))
+
+
+def _quiet(status: Status) -> None:
+    del status
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The result. map_x (d,); table: summary by input; fit: predicted against target by feature at the most probable
+    point; rmse_mm over the displacements (None without runs); draws: features of runs at posterior draws (k, p)."""
+
+    waves: tuple[WaveReport, ...]
+    region: Region
+    emulators: EmulatorSet
+    samples: tuple[RegionSample, ...]
+    chain: mcmc.Chain
+    map_x: FloatArray
+    table: list[dict[str, float | str]]
+    fit: list[dict[str, float | str]]
+    rmse_mm: float | None
+    draws: FloatArray
+    stopped: str
+    x: FloatArray
+
+
+def calibrate(
+    simulator: Simulator | None,
+    box: Box,
+    targets: Targets,
+    settings: Settings,
+    folder: Path,
+    log: RunLog,
+    given: FloatArray | None = None,
+    monitor: Monitor = _quiet,
+) -> Calibration:
+    """Calibrate against the targets; ``log`` holds the runs.
+
+    given (n, d): points already in the log, used as the first wave in place of a design. simulator None: no run is made;
+    one wave on the given runs, then the posterior (``--from-table``). Raises LacliError with the target that no point
+    of the box reaches, if that is so.
+    """  # fmt: skip
+    if simulator is not None and settings.first_runs > settings.max_runs:
+        raise UsageError(
+            f"calibrate: the first wave's {settings.first_runs} runs are more than the {settings.max_runs} allowed;"
+            " lower --first-runs or raise --max-runs."
+        )
+    begin = time.monotonic()
+    folder.mkdir(parents=True, exist_ok=True)
+    _same_settings(folder, box, targets, settings, given)
+    x = given if given is not None else design(box, settings.first_runs, "sobol", settings.seed)
+    region, stopped = Region(box), ""
+    reports: list[WaveReport] = []
+    samples: list[RegionSample] = []
+    emulators: EmulatorSet | None = None
+    found: Match | None = None
+    number = 0
+    while not stopped:
+        number += 1
+        if simulator is not None:
+            log.run(simulator, x, _ticker(monitor, "runs", number, reports))
+        place = folder / f"wave_{number}"
+        tick = _ticker(monitor, "emulators", number, reports)
+        emulators, notes, finished_x, failed_x = _emulators(log, x, targets, settings, place, tick)
+        wave = Wave(
+            emulators, targets.widened(emulators.error_sd), settings.thresholds[min(number, len(settings.thresholds)) - 1]
+        )
+        region = region.add(wave)
+        monitor(Status("matching", number, 0, 1, tuple(reports)))
+        try:
+            found = _match(region, settings, number, place, found)
+        except EmptyRegionError as error:
+            raise LacliError(
+                "calibrate: no point of the box agrees with all targets: at the nearest one, "
+                + ruled_out_by(wave, error.best[None])
+                + ". Check the targets' units and standard deviations, or widen the box."
+            ) from error
+        samples.append(found.sample)
+        r2 = {e.output: e.held_out_r2 for e in emulators.emulators}
+        counts = (len(finished_x), len(failed_x))
+        reports.append(WaveReport(number, *counts, wave.threshold, r2, found.share, found.share_sd, found.change, notes))
+        monitor(Status("wave done", number, 1, 1, tuple(reports)))
+        last_threshold = number >= len(settings.thresholds)
+        elapsed = (time.monotonic() - begin) / 3600.0
+        if simulator is None:
+            stopped = "runs from a table"
+        elif last_threshold and number > 1 and found.change < settings.tolerance:
+            stopped = f"the region changed by less than {settings.tolerance:.0%}"
+        elif number >= settings.max_waves:
+            stopped = f"{settings.max_waves} waves were allowed"
+        elif len(x) + settings.wave_runs > settings.max_runs:
+            stopped = f"{settings.max_runs} runs were allowed"
+        elif elapsed * (len(x) + settings.wave_runs) / len(x) > settings.hours:
+            stopped = f"another wave would exceed {settings.hours:g} hours"
+        else:
+            x = np.vstack([x, _next(box, found.sample, settings, x, finished_x, failed_x, notes)])
+    assert emulators is not None
+    density = Density(emulators, region.waves[-1].targets, region if settings.prior == "nroy" else Region(box))
+    chain = _sample(density, settings, samples[-1], folder / "chain.npz", monitor, number, tuple(reports))
+    map_x, _ = mcmc.maximum(density, chain)
+    table = mcmc.summary(chain, map_x)
+    draws = np.empty((0, len(targets.names)))
+    fit, rmse = _fit(emulators, targets, map_x, None), None
+    if simulator is not None:
+        pick = np.random.default_rng(settings.seed).choice(len(chain.flat()), settings.draws, replace=False)
+        last = np.vstack([map_x, chain.flat()[pick]])
+        log.run(
+            simulator, last, lambda done, total: monitor(Status("simulations at the answer", number, done, total, tuple(reports)))
+        )
+        simulated = log.frame(last)[list(targets.names)].to_numpy(float)
+        draws = simulated[1:]
+        fit = _fit(emulators, targets, map_x, simulated[0])
+        off = [float(r["simulated"]) - float(r["target"]) for r in fit if str(r["feature"]).endswith("_mm")]
+        rmse = float(np.sqrt(np.mean(np.square(off)))) if off else None
+    result = Calibration(
+        tuple(reports), region, emulators, tuple(samples), chain, map_x, table, fit, rmse, draws, stopped, x
+    )  # fmt: skip
+    write_json(folder / "result.json", document(result))
+    return result
+
+
+def document(result: Calibration) -> dict[str, Any]:
+    """The result as plain values."""
+    return _finite(
+        {
+            "stopped": result.stopped,
+            "waves": [asdict(report) for report in result.waves],
+            "posterior": result.table,
+            "converged": result.chain.converged,
+            "samples": len(result.chain.flat()),
+            "acceptance": result.chain.acceptance,
+            "fit": result.fit,
+            "rmse_mm": result.rmse_mm,
+            "draws": result.draws.tolist(),
+        }
+    )
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(v) for v in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def _same_settings(folder: Path, box: Box, targets: Targets, settings: Settings, given: FloatArray | None) -> None:
+    """A folder holds one calibration: with other targets or settings its files would be mixed up. Budgets may change."""
+    budget_free = replace(
+        settings, max_runs=0, hours=0.0, max_waves=0, mcmc=replace(settings.mcmc, max_steps=0, ess=0.0, rhat=0.0)
+    )
+    content = {
+        "box": {n: [float(a), float(b)] for n, a, b in zip(box.names, box.lower, box.upper, strict=True)},
+        "targets": {n: [float(m), float(s)] for n, m, s in zip(targets.names, targets.mean, targets.sd, strict=True)},
+        "settings": {**asdict(budget_free), "thresholds": list(settings.thresholds)},
+        "given_runs": 0 if given is None else len(given),
+    }
+    file = folder / "calibration.json"
+    if file.is_file():
+        if json.loads(file.read_text(encoding="utf-8")) != json.loads(json.dumps(content)):
+            raise UsageError(
+                f"{folder}: holds a calibration with other targets, box or settings. Use another --out, or remove it."
+            )
+    else:
+        write_json(file, content)
+
+
+def _emulators(
+    log: RunLog, x: FloatArray, targets: Targets, settings: Settings, place: Path, tick: Callable[[int, int], None]
+) -> tuple[EmulatorSet, list[str], FloatArray, FloatArray]:
+    table = log.table(x, targets.names)
+    missing = [name for name in targets.names if name not in table.outputs]
+    if missing or table.inputs != log.inputs:
+        raise LacliError(
+            "calibrate: " + " ".join(table.notes) + " Remove what never varies from the targets or the box, or add runs."
+        )
+    table = table.select(targets.names)
+    file = place / "emulators.npz"
+    if not file.is_file():
+        done = itertools.count(1)
+        fitted = fit_emulators(
+            table, starts=settings.starts, seed=settings.seed, tick=lambda: tick(next(done), len(targets.names))
+        )
+        save_emulators(file, EmulatorSet(table.inputs, tuple(fitted)))
+    return load_emulators(file), list(table.notes), table.x, table.failed_x
+
+
+def _match(region: Region, settings: Settings, number: int, place: Path, previous: Match | None) -> Match:
+    file = place / "region.npz"
+    if not file.is_file():
+        found = match(region, seed=settings.seed + number, previous=previous)
+        s = found.sample
+        with replacing(file) as temporary, temporary.open("wb") as sink:
+            numbers = [
+                s.volume,
+                s.volume_sd,
+                s.acceptance,
+                s.correlation,
+                s.evaluations,
+                found.share,
+                found.share_sd,
+                found.change,
+            ]
+            np.savez_compressed(sink, points=s.points, level=s.level, numbers=np.array(numbers, float))
+    try:
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as a:
+            v = [float(value) for value in a["numbers"]]
+            sample = RegionSample(a["points"], a["level"], v[0], v[1], v[2], v[3], int(v[4]))
+            return Match(sample, v[5], v[6], v[7])
+    except DAMAGED as error:
+        raise InputError(f"{file}: not a matched region, or a damaged one ({error}). Remove it to match anew.") from error
+
+
+def _next(
+    box: Box, sample: RegionSample, settings: Settings, x: FloatArray, finished: FloatArray, failed: FloatArray, notes: list[str]
+) -> FloatArray:
+    feasibility = learn(box, finished, failed)
+    if feasibility is None:
+        return next_runs(sample, settings.wave_runs, x)
+    likely = feasibility.accept(sample.points)
+    if likely.sum() < settings.wave_runs:  # the answer lies where runs fail: say so, and try all the same
+        notes.append(f"{feasibility.describe()} Hardly any point left to match is of that kind: they are tried all the same.")
+        return next_runs(sample, settings.wave_runs, x)
+    notes.append(feasibility.describe())
+    return next_runs(replace(sample, points=sample.points[likely]), settings.wave_runs, x)
+
+
+def _sample(
+    density: Density,
+    settings: Settings,
+    sample: RegionSample,
+    file: Path,
+    monitor: Monitor,
+    number: int,
+    reports: tuple[WaveReport, ...],
+) -> mcmc.Chain:
+    options = replace(settings.mcmc, seed=settings.seed)
+    previous = mcmc.load_chain(file) if file.is_file() else None
+
+    def keep(chain: mcmc.Chain) -> None:
+        mcmc.save_chain(file, chain)
+        monitor(Status("posterior", number, chain.steps, max(chain.steps, 500), reports))
+
+    start = sample.points if settings.prior == "nroy" else None
+    try:
+        return mcmc.sample_posterior(density, options, start, previous, keep)
+    except LacliError:
+        if previous is None:
+            raise
+        file.unlink()  # other runs than the chain was made with (a changed budget): sample anew
+        return mcmc.sample_posterior(density, options, start, None, keep)
+
+
+def _fit(emulators: EmulatorSet, targets: Targets, x: FloatArray, simulated: FloatArray | None) -> list[dict[str, float | str]]:
+    mean, variance = emulators.predict(x[None])
+    rows: list[dict[str, float | str]] = []
+    for j, name in enumerate(targets.names):
+        row: dict[str, float | str] = {
+            "feature": name, "target": float(targets.mean[j]), "sd": float(targets.sd[j]),
+            "emulated": float(mean[0, j]), "emulator_sd": float(np.sqrt(variance[0, j])),
+        }  # fmt: skip
+        if simulated is not None:
+            row["simulated"] = float(simulated[j])
+        rows.append(row)
+    return rows

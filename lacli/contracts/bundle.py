@@ -1,0 +1,286 @@
+"""The anatomy bundle: a folder with the wall mesh, its tagged boundary and a description. All lengths in mm."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+
+from lacli.base.arrays import FloatArray, IntArray
+from lacli.base.errors import AnatomyError
+from lacli.contracts.labels import ENDO, EPI, OTHER, PLANES, REGIONS, RINGS
+from lacli.geometry.tetrahedra import TET10_EDGES
+
+# what we put into a bundle's folder: all of it is made again with the bundle, or of no use to a new one
+_OURS = frozenset(
+    [
+        *("wall.vtu", "boundary.vtp", "anatomy.json", "motion.npz", "accuracy.json", "landmarks.toml", "labels.nrrd", "ct.nrrd"),
+        *("quality.json", "quality.txt", "uac.png", "regions.png", "fibres.png", "thickness.png", "cuts.png"),
+    ]
+)
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """An anatomy as the simulation takes it.
+
+    points (n, 3) mm; tets (m, 4) or (m, 10), VTK order; region (m,) of REGIONS, RINGS, PLANES;
+    fibre (m, 3) unit vectors or None; transmural (n,), uac (n, 2), pericardium_coordinate (n,) or None.
+    triangles (t, 3) or (t, 6): the boundary, point ids of ``points``, normals out of the wall's material;
+    tags (t,): ENDO (wall and rings, cavity side), EPI, OTHER, RINGS (the rings' outer faces), PLANES (the valve
+    planes' cavity side; their far side is OTHER). ENDO and PLANES together are one closed surface, the cavity's.
+    """
+
+    points: FloatArray
+    tets: IntArray
+    region: IntArray
+    triangles: IntArray
+    tags: IntArray
+    fibre: FloatArray | None = None
+    transmural: FloatArray | None = None
+    uac: FloatArray | None = None
+    pericardium_coordinate: FloatArray | None = None
+    info: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def order(self) -> int:
+        """1 for straight cells, 2 for 10-node cells."""
+        return 1 if self.tets.shape[1] == 4 else 2
+
+    def cavity_triangles(self) -> IntArray:
+        """Triangles of the closed cavity surface (endocardium and valve planes)."""
+        keep = (self.tags == ENDO) | ((self.tags >= 21) & (self.tags <= 26))
+        return self.triangles[keep]
+
+    def cavity_volume_ml(self) -> float:
+        """Volume enclosed by the endocardium and the valve planes, from corner nodes only, in mL."""
+        a, b, c = (self.points[self.cavity_triangles()[:, i]] for i in range(3))
+        # normals point out of the wall's material, so into the cavity: the sign turns
+        return float(-np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0 / 1000.0)
+
+
+def check_replaceable(folder: Path) -> None:
+    """Before a new bundle takes the folder's place: AnatomyError where files of somebody else would go with the old one."""
+    others = (
+        sorted(p.name for p in folder.iterdir() if not (p.name in _OURS or p.name.startswith(".part-")))
+        if folder.is_dir()
+        else []
+    )
+    if others:
+        raise AnatomyError(
+            f"{folder}: also holds {', '.join(others)}, and would be replaced whole; move that away, or choose another folder."
+        )
+
+
+def save(bundle: Bundle, folder: Path) -> None:
+    """Write ``wall.vtu``, ``boundary.vtp`` and ``anatomy.json`` into ``folder`` (made if absent)."""
+    import pyvista as pv
+
+    folder.mkdir(parents=True, exist_ok=True)
+    point_data = {
+        name: value for name in ("transmural", "uac", "pericardium_coordinate") if (value := getattr(bundle, name)) is not None
+    }
+    cell_data: dict[str, list[Any]] = {"region": [bundle.region.astype(np.int32)]}
+    if bundle.fibre is not None:
+        cell_data["fibre"] = [bundle.fibre]
+    kind = "tetra" if bundle.order == 1 else "tetra10"
+    meshio.Mesh(bundle.points, [(kind, bundle.tets)], point_data=point_data, cell_data=cell_data).write(
+        folder / "wall.vtu", binary=True, compression="zlib"
+    )
+    used, local = np.unique(bundle.triangles[:, :3], return_inverse=True)
+    faces = np.column_stack([np.full(len(local.reshape(-1, 3)), 3), local.reshape(-1, 3)])
+    surface = pv.PolyData(bundle.points[used], faces.ravel())
+    surface.point_data["wall_point"] = used.astype(np.int64)
+    surface.cell_data["tag"] = bundle.tags.astype(np.int32)
+    surface.save(folder / "boundary.vtp")
+    (folder / "anatomy.json").write_text(json.dumps(bundle.info, indent=2) + "\n")
+
+
+def load(folder: Path) -> Bundle:
+    """Read and check a bundle.
+
+    Raises AnatomyError where a file is missing or damaged, a coordinate is not finite, a cell is inverted,
+    the wall is not connected, or the cavity surface is open.
+    """
+    import pyvista as pv
+
+    wall_file, boundary_file, info_file = (folder / n for n in ("wall.vtu", "boundary.vtp", "anatomy.json"))
+    for file in (wall_file, boundary_file, info_file):
+        if not file.is_file():
+            raise AnatomyError(
+                f"{folder}: not an anatomy bundle, {file.name} is missing. `lacli synthesize` or `lacli mesh` writes one."
+            )
+    try:
+        wall = meshio.vtu.read(wall_file)  # meshio.read ends the whole program on a damaged file
+        boundary = pv.read(boundary_file)
+        info = json.loads(info_file.read_text())
+    except Exception as error:  # readers raise all sorts of things on damaged files
+        raise AnatomyError(
+            f"{folder}: the bundle cannot be read, a file is damaged ({type(error).__name__} {error}). Write it again."
+        ) from error
+    kinds = [b.type for b in wall.cells]
+    if len(kinds) != 1 or kinds[0] not in ("tetra", "tetra10"):
+        raise AnatomyError(f"{wall_file}: expected one block of tetra or tetra10 cells, found {kinds}.")
+    tets = np.asarray(wall.cells[0].data, dtype=np.int64)
+    points = np.asarray(wall.points, dtype=np.float64)
+    if "region" not in wall.cell_data:
+        raise AnatomyError(f"{wall_file}: the cell array 'region' is missing; write 1 everywhere if there is one region.")
+    region = np.asarray(wall.cell_data["region"][0], dtype=np.int64).ravel()
+    fibre = wall.cell_data["fibre"][0] if "fibre" in wall.cell_data else None
+    corners, tags = _read_boundary(boundary, boundary_file, len(points))
+    triangles = corners if tets.shape[1] == 4 else _with_middles(corners, tets)
+    bundle = Bundle(
+        points=points,
+        tets=tets,
+        region=region,
+        triangles=triangles,
+        tags=tags,
+        fibre=None if fibre is None else np.asarray(fibre, dtype=np.float64),
+        transmural=_optional(wall, "transmural"),
+        uac=_optional(wall, "uac"),
+        pericardium_coordinate=_optional(wall, "pericardium_coordinate"),
+        info=info,
+    )
+    check(bundle, str(folder))
+    return bundle
+
+
+def _read_boundary(surface: Any, file: Path, points: int) -> tuple[IntArray, IntArray]:
+    """Corner point ids (t, 3) and tags (t,) of ``boundary.vtp``."""
+    for data, name in ((surface.point_data, "wall_point"), (surface.cell_data, "tag")):
+        if name not in data:
+            raise AnatomyError(f"{file}: the array {name!r} is missing. Write the bundle again.")
+    if not surface.n_cells or not surface.is_all_triangles:
+        raise AnatomyError(f"{file}: expected triangles only, and at least one.")
+    ids = np.asarray(surface.point_data["wall_point"], dtype=np.int64)
+    if ids.min() < 0 or ids.max() >= points:
+        raise AnatomyError(f"{file}: 'wall_point' names a point that wall.vtu does not have.")
+    return ids[surface.faces.reshape(-1, 4)[:, 1:]], np.asarray(surface.cell_data["tag"], dtype=np.int64)
+
+
+def _optional(mesh: meshio.Mesh, name: str) -> FloatArray | None:
+    return np.asarray(mesh.point_data[name], dtype=np.float64) if name in mesh.point_data else None
+
+
+def _with_middles(corners: IntArray, tets: IntArray) -> IntArray:
+    """(t, 3) corner triangles -> (t, 6) with the mid-edge nodes of the 10-node cells that carry those edges."""
+    pairs = np.concatenate([np.sort(tets[:, list(e)], axis=1) for e in TET10_EDGES])
+    middles = np.concatenate([tets[:, 4 + i] for i in range(6)])
+    size = int(tets.max()) + 1
+    keys = pairs[:, 0] * size + pairs[:, 1]
+    keys, first = np.unique(keys, return_index=True)
+    middles = middles[first]
+    columns = []
+    for i, j in ((0, 1), (1, 2), (2, 0)):
+        edge = np.sort(corners[:, [i, j]], axis=1)
+        wanted = edge[:, 0] * size + edge[:, 1]
+        at = np.searchsorted(keys, wanted)
+        if np.any(at >= len(keys)) or np.any(keys[np.minimum(at, len(keys) - 1)] != wanted):
+            raise AnatomyError("boundary.vtp: a triangle is not a face of the wall's cells (wall_point does not fit wall.vtu).")
+        columns.append(middles[at])
+    return np.column_stack([corners, *columns])
+
+
+def check(bundle: Bundle, where: str) -> None:
+    """Raise AnatomyError where the bundle breaks its contract; ``where`` starts the message."""
+    if not np.isfinite(bundle.points).all():
+        bad = int(np.flatnonzero(~np.isfinite(bundle.points).all(axis=1))[0])
+        raise AnatomyError(f"{where}: point {bad} of the wall has a coordinate that is not finite (NaN or infinite).")
+    if bundle.tets.min() < 0 or bundle.tets.max() >= len(bundle.points):
+        raise AnatomyError(f"{where}: a cell names a point that does not exist.")
+    a, b, c, d = (bundle.points[bundle.tets[:, i]] for i in range(4))
+    volume = np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a)) / 6.0
+    if np.any(volume <= 0):
+        bad = int(np.argmin(volume))
+        raise AnatomyError(
+            f"{where}: {int((volume <= 0).sum())} inverted or flat cells, the worst is {bad} ({volume[bad]:.3g} mm3). Mesh again."
+        )
+    if len(bundle.region) != len(bundle.tets) or len(bundle.tags) != len(bundle.triangles):
+        raise AnatomyError(f"{where}: 'region' or 'tag' does not have one value per cell.")
+    allowed = {*REGIONS.values(), *RINGS.values(), *PLANES.values()}
+    unknown = sorted(set(np.unique(bundle.region).tolist()) - allowed)
+    if unknown:
+        raise AnatomyError(f"{where}: unknown region {unknown[0]}; the known ones are {sorted(allowed)}.")
+    if bundle.fibre is not None:
+        norm = np.linalg.norm(bundle.fibre, axis=1)
+        if not np.isfinite(norm).all() or np.any(np.abs(norm - 1) > 1e-3):
+            raise AnatomyError(f"{where}: fibres must be finite unit vectors, one per cell.")
+    tags = {ENDO, EPI, OTHER, *RINGS.values(), *PLANES.values()}
+    unknown = sorted(set(np.unique(bundle.tags).tolist()) - tags)
+    if unknown:
+        raise AnatomyError(f"{where}: unknown tag {unknown[0]} on the boundary; the known ones are {sorted(tags)}.")
+    for name in ("transmural", "uac", "pericardium_coordinate"):
+        value = getattr(bundle, name)
+        if value is not None and (len(value) != len(bundle.points) or not np.isfinite(value).all()):
+            raise AnatomyError(f"{where}: '{name}' needs one finite value for every point of the wall.")
+    diameter = float(np.ptp(bundle.points, axis=0).max())
+    if diameter > 1000:
+        raise AnatomyError(f"{where}: the wall is {diameter:.0f} mm wide; are the lengths micrometres? The bundle is in mm.")
+    if diameter < 1:
+        raise AnatomyError(f"{where}: the wall is {diameter:.3g} mm wide; are the lengths metres? The bundle is in mm.")
+    _check_connected(bundle, where)
+
+
+def _check_connected(bundle: Bundle, where: str) -> None:
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    n = len(bundle.points)
+    rows = np.repeat(bundle.tets[:, 0], bundle.tets.shape[1] - 1)
+    graph = coo_matrix((np.ones(len(rows)), (rows, bundle.tets[:, 1:].ravel())), shape=(n, n))
+    count, labels = connected_components(graph, directed=False)
+    pieces = len(np.unique(labels[bundle.tets[:, 0]]))
+    if pieces > 1:
+        raise AnatomyError(f"{where}: the wall falls into {pieces} unconnected pieces; keep one.")
+    if count > pieces:
+        raise AnatomyError(f"{where}: {count - pieces} points belong to no cell; remove them.")
+    _check_boundary(bundle, where)
+    _check_closed(bundle, where)
+
+
+def _oriented(triangles: IntArray) -> IntArray:
+    """Rows turned so that the smallest point comes first; the sense of rotation stays."""
+    first = np.argmin(triangles, axis=1)
+    return np.take_along_axis(triangles, (first[:, None] + np.arange(3)) % 3, axis=1)
+
+
+def _check_boundary(bundle: Bundle, where: str) -> None:
+    """The triangles are the faces that one cell only has, each once, seen from outside the material."""
+    n = len(bundle.points)
+    cells = bundle.tets[:, :4]
+    faces = np.concatenate([cells[:, list(f)] for f in ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))])
+    key = np.sort(faces, axis=1) @ np.array([n * n, n, 1])
+    _, first, count = np.unique(key, return_index=True, return_counts=True)
+    if count.max() > 2:
+        raise AnatomyError(f"{where}: {int((count > 2).sum())} faces belong to three or more cells; cells overlap. Mesh again.")
+    weights = np.array([n * n, n, 1])
+    outer = _oriented(faces[first[count == 1]]) @ weights
+    given = _oriented(bundle.triangles[:, :3]) @ weights
+    strangers = np.flatnonzero(~np.isin(given, outer))
+    if len(strangers):
+        raise AnatomyError(
+            f"{where}: {len(strangers)} boundary triangles (first {strangers[0]}) are no outer faces of the wall, or turned."
+        )
+    if len(np.unique(given)) != len(given):
+        raise AnatomyError(f"{where}: a boundary triangle is there twice.")
+    if len(given) != len(outer):
+        raise AnatomyError(f"{where}: {len(outer) - len(given)} outer faces of the wall have no boundary triangle, so no tag.")
+
+
+def _check_closed(bundle: Bundle, where: str) -> None:
+    """Every edge of the cavity surface is run through in both directions equally often."""
+    triangles = bundle.cavity_triangles()[:, :3]
+    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    n = len(bundle.points)
+    forward, backward = edges @ np.array([n, 1]), edges @ np.array([1, n])
+    loose = np.flatnonzero(~np.isin(forward, backward))
+    if len(loose):
+        x, y, z = bundle.points[edges[loose[0], 0]]
+        raise AnatomyError(
+            f"{where}: the cavity surface (tags {ENDO} and 21-26) is open along {len(loose)} edges, one of them at "
+            f"({x:.1f}, {y:.1f}, {z:.1f}) mm; a valve plane or a tag is missing."
+        )

@@ -1,0 +1,235 @@
+"""Runs on disk: one writer per key, a temporary name until finished, manifests.
+
+A run is the folder ``<root>/<key>``. It is written as ``<root>/.tmp-<key>-<pid>`` under a lock that dies with its
+process, and renamed when it has ended, well or badly. It is complete when its manifest says ``done`` and every product
+the manifest lists is there in its full size. A failed run stays, with its kind, and counts.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import logging
+import os
+import platform
+import shutil
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from lacli import __version__
+from lacli.base.errors import StorageError
+from lacli.base.files import room, storing, write_json, write_text
+from lacli.contracts.identity import run_key
+from lacli.contracts.scene import Scene, dump_scene
+
+_logger = logging.getLogger(__name__)
+# failures of the machine, not of the scene: asked again, they run again
+TRANSIENT_KINDS = frozenset({"killed", "disk_full", "out_of_memory"})
+
+
+@dataclass(frozen=True)
+class StoredRun:
+    """A run that has ended: its key, folder and manifest."""
+
+    key: str
+    folder: Path
+    manifest: dict[str, Any]
+
+    @property
+    def status(self) -> str:
+        return str(self.manifest["status"])
+
+    @property
+    def kind(self) -> str | None:
+        return self.manifest.get("kind")
+
+    @property
+    def message(self) -> str:
+        return str(self.manifest.get("message") or "")
+
+    def features(self) -> dict[str, float]:
+        """Content of ``features.json``; empty where there is none."""
+        file = self.folder / "features.json"
+        return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+
+
+@dataclass
+class OpenRun:
+    """A run being written into ``folder``; ``stored`` is set if it had ended before (then there is nothing to do)."""
+
+    key: str
+    root: Path
+    folder: Path
+    stored: StoredRun | None = None
+    started: float = field(default_factory=time.time)
+
+    def finish(
+        self,
+        status: str = "done",
+        *,
+        products: list[str] | None = None,
+        kind: str | None = None,
+        message: str = "",
+        **fields: Any,
+    ) -> StoredRun:
+        """Write the manifest and move the folder to its name.
+
+        status: ``done`` or ``failed`` (then with ``kind``). products: the files that make the run complete, relative to
+        the folder; by default all that are there. fields: more of the manifest (cpu_s, peak_memory_mb, seeds, versions).
+        Raises StorageError; the folder is then removed when the block of ``open_run`` ends.
+        """
+        if status not in ("done", "failed") or (status == "failed") == (kind is None):
+            raise ValueError("a run is done, or failed with a kind")
+        names = products if products is not None else _files(self.folder)
+        missing = [name for name in names if not (self.folder / name).is_file()]
+        if missing and status == "done":
+            raise StorageError(f"{self.folder}: {missing[0]} was not written; the run is not complete.")
+        versions = {"lacli": __version__, "python": platform.python_version(), "numpy": np.__version__}
+        manifest = {
+            "key": self.key,
+            "status": status,
+            "kind": kind,
+            "message": message,
+            "started": _iso(self.started),
+            "finished": _iso(time.time()),
+            "wall_s": round(time.time() - self.started, 3),
+            "machine": {"system": platform.platform(), "processors": os.cpu_count()},
+            "products": {name: (self.folder / name).stat().st_size for name in names if name not in missing},
+            **fields,
+            "versions": {**versions, **fields.get("versions", {})},
+        }
+        write_json(self.folder / "manifest.json", manifest)
+        final = self.root / self.key
+        with storing(final):
+            _make_way(final)
+            self.folder.rename(final)
+        self.folder = final
+        self.stored = StoredRun(self.key, final, json.loads((final / "manifest.json").read_text(encoding="utf-8")))
+        return self.stored
+
+
+@contextlib.contextmanager
+def open_run(root: Path, scene: Scene, *, retry_failed: bool = False) -> Iterator[OpenRun]:
+    """Lock the scene's key below ``root`` and give a folder to write into, ``scene.toml`` already in it.
+
+    If the run has ended before, ``stored`` is set and nothing is to be done. Failed runs count as ended, but for those
+    of TRANSIENT_KINDS, or all of them with ``retry_failed``. A second process waits here until the first has finished.
+    A block that ends without ``finish`` (an error, Ctrl-C) leaves nothing; a full disk becomes StorageError.
+    """
+    key = run_key(scene)
+    with storing(root):
+        (root / ".locks").mkdir(parents=True, exist_ok=True)
+    with room(root / key), _lock(root, key):
+        _sweep(root, key)
+        stored = find_run(root, key)
+        if stored is not None and (stored.status == "done" or not (retry_failed or stored.kind in TRANSIENT_KINDS)):
+            yield OpenRun(key, root, stored.folder, stored)
+            return
+        run = OpenRun(key, root, root / f".tmp-{key}-{os.getpid()}")
+        with storing(run.folder):
+            run.folder.mkdir()
+        try:
+            write_text(run.folder / "scene.toml", dump_scene(scene))
+            yield run
+        finally:
+            if run.stored is None:
+                shutil.rmtree(run.folder, ignore_errors=True)
+
+
+def find_run(root: Path, key: str) -> StoredRun | None:
+    """The run of that key if it has ended (done and complete, or failed), else None."""
+    folder = root / key
+    try:
+        manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+        if manifest["key"] != key or manifest["status"] not in ("done", "failed"):
+            return None
+        if manifest["status"] == "done":
+            for name, size in manifest["products"].items():
+                if (folder / name).stat().st_size != size:
+                    return None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
+    return StoredRun(key, folder, manifest)
+
+
+def list_runs(root: Path) -> list[StoredRun]:
+    """All runs below ``root`` that have ended, by key."""
+    if not root.is_dir():
+        return []
+    names = sorted(path.name for path in root.iterdir() if path.is_dir() and not path.name.startswith("."))
+    return [run for name in names if (run := find_run(root, name)) is not None]
+
+
+def _files(folder: Path) -> list[str]:
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+
+
+def _iso(seconds: float) -> str:
+    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="seconds")
+
+
+def _make_way(final: Path) -> None:
+    """A failed or damaged run gives its name to the new one."""
+    if final.exists():
+        old = final.parent / f".tmp-{final.name}-old-{os.getpid()}"
+        final.rename(old)
+        shutil.rmtree(old, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _lock(root: Path, key: str, wait: bool = True) -> Iterator[bool]:
+    """An exclusive lock on a key that the system releases if the process dies. Yields whether it was got."""
+    path = root / ".locks" / key
+    stream = _locked(path, wait)
+    if stream is None:
+        yield False
+        return
+    try:
+        yield True
+    finally:
+        path.unlink(missing_ok=True)
+        stream.close()
+
+
+def _locked(path: Path, wait: bool) -> IO[bytes] | None:
+    while True:
+        stream = path.open("ab")
+        try:
+            try:
+                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                if not wait:
+                    raise
+                _logger.warning("Another process does run %s at this moment; waiting for it.", path.name)
+                fcntl.flock(stream, fcntl.LOCK_EX)
+            # the one before us removed the file when it left: then ours is not the file others see
+            if path.exists() and os.fstat(stream.fileno()).st_ino == path.stat().st_ino:
+                return stream
+        except BlockingIOError:
+            stream.close()
+            return None
+        except FileNotFoundError:
+            pass
+        except BaseException:
+            stream.close()
+            raise
+        stream.close()
+
+
+def _sweep(root: Path, held: str) -> None:
+    """Remove temporaries nobody writes any more: whoever holds a key's lock is the only writer of that key."""
+    for folder in root.glob(".tmp-*"):
+        key = folder.name.split("-")[1]
+        if key == held:
+            shutil.rmtree(folder, ignore_errors=True)
+            continue
+        with _lock(root, key, wait=False) as got:
+            if got:
+                shutil.rmtree(folder, ignore_errors=True)

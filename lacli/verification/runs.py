@@ -1,0 +1,258 @@
+"""FreeFEM runs of the verification problems: equilibria, forms at given states, laws at given points."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lacli.base import resources
+from lacli.base.arrays import FloatArray, IntArray
+from lacli.base.errors import SimulationError
+from lacli.contracts.bundle import Bundle
+from lacli.freefem import program as freefem
+from lacli.mechanics import inputs
+from lacli.mechanics.deck import render_template
+from lacli.mechanics.engine import plugin
+
+TIMEOUT_S = 1800.0
+GUCCIONE, NEO_HOOKEAN = 0, 1
+# kinds of faces and tasks of the engine
+PRESSURE, VEINS, PERICARDIUM, PERICARDIUM_OUTWARD = 0, 1, 2, 3
+RESIDUAL, SYMMETRIC, UNSYMMETRIC, INVERSE, PRESTRAIN_RESIDUAL, PRESTRAIN = 0, 1, 2, 3, 4, 5
+KEEP_PRESTRAIN = 6  # x is the prestrain's field v; the wall has its strain for this form (residual at X) and all that follow
+
+
+@dataclass(frozen=True)
+class Check:
+    """One comparison. ``error`` has the unit of ``tolerance``: mm for positions and lengths, relative otherwise.
+    ``unknowns`` counts all, held ones too; ``cpu_s`` is the solver's whole process."""
+
+    name: str
+    quantity: str
+    computed: float
+    reference: float
+    error: float
+    tolerance: float
+    passed: bool
+    unknowns: int
+    cpu_s: float
+
+
+def compare(
+    name: str,
+    quantity: str,
+    computed: float,
+    reference: float,
+    tolerance: float,
+    unknowns: int,
+    cpu_s: float,
+    scale: float = 1.0,
+) -> Check:
+    """A check of |computed - reference| / scale against the tolerance; a number that is not finite fails."""
+    error = abs(computed - reference) / scale
+    passed = bool(np.isfinite(error) and error <= tolerance)
+    return Check(name, quantity, float(computed), float(reference), float(error), tolerance, passed, unknowns, cpu_s)
+
+
+def material(
+    law: int,
+    c: float,
+    b: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    kappa_points: float = 0.0,
+    kappa_field: float = 0.0,
+    alpha: float = 1.0,
+    fibre: tuple[float, float, float] = (1.0, 0.0, 0.0),
+) -> FloatArray:
+    """(12,) one row of the engine's materials: c, kappas in kPa; b = (bf, bft, bt). ``kappa_field`` 0 is the
+    incompressible material, its pressure field a Lagrange multiplier."""
+    return np.array([law, c, alpha, *b, kappa_points, kappa_field, *fibre, 0.0])
+
+
+@dataclass(frozen=True)
+class Setup:
+    """An equilibrium: ``held`` (nodes, coordinates 0 to 2), pressure in kPa on the faces with ``loaded`` tags,
+    ``start`` and ``at`` (n, 3) mm where the iteration begins and where held nodes go; the rest steers the iteration."""
+
+    bundle: Bundle
+    material: FloatArray
+    held: tuple[IntArray, IntArray]
+    pressure: float = 0.0
+    loaded: tuple[int, ...] = ()
+    start: FloatArray | None = None
+    at: FloatArray | None = None
+    points: int = 14
+    task: int = SYMMETRIC
+    tolerance: float = 1e-6
+    first_step: float = 1.0
+    first_viscosity: float = 0.0
+    move_limit: float = 2.0
+    viscosity: float = 0.3
+    unload: bool = False
+    prestrain: bool = False
+    volume_tolerance: float = 1e-3
+    max_sweeps: int = 60
+
+
+@dataclass(frozen=True)
+class Solution:
+    """States by name: x and X (n, 3) mm; the loaded state's cavity volume, and at rest (mm3), smallest J; words of the
+    history; counts and CPU seconds of the solver's process."""
+
+    states: dict[str, tuple[FloatArray, FloatArray]]
+    volume_at_rest: float
+    volume: float
+    min_jacobian: float
+    unknowns: int
+    newton: int
+    steps: int
+    cpu_s: float
+    other: dict[str, list[float]] = field(default_factory=dict)
+
+
+def solve(setup: Setup) -> Solution:
+    """Run an equilibrium problem. Raises SimulationError when it does not converge, SolverMissingError."""
+    with tempfile.TemporaryDirectory(prefix="lacli-verify-") as name:
+        folder = Path(name)
+        _write_mesh(setup.bundle, setup.material, folder)
+        inputs.write_arrays(folder / "held.txt", *setup.held)
+        if setup.loaded:
+            _write_faces(setup.bundle, np.isin(setup.bundle.tags, setup.loaded), folder / "pressure.txt")
+        for array, file in ((setup.start, "start.txt"), (setup.at, "at.txt")):
+            if array is not None:
+                inputs.write_arrays(folder / file, array.T)
+        choices = {key: value for key, value in vars(setup).items() if isinstance(value, (bool, int, float))}
+        choices |= {
+            "order": setup.bundle.order,
+            "faces": bool(setup.loaded),
+            "start": setup.start is not None,
+            "at": setup.at is not None,
+        }
+        outcome = _run("verification.edp.j2", folder, **choices)
+        words = [line.split() for line in (folder / "history.txt").read_text(encoding="ascii").splitlines()]
+        history = {w[0]: [float(v) for v in w[1:]] for w in words if w}
+        if "end" not in history:
+            raise SimulationError("bad_output", "The verification problem's history is incomplete.")
+        names: tuple[str, ...] = ("loaded",)
+        if setup.unload or setup.prestrain:
+            names += ("unloaded", "reloaded") + (("inverse",) if setup.unload else ())
+        tables = {name: np.loadtxt(folder / f"{name}.txt").reshape(-1, 6) for name in names}
+    rest, volume, min_j, _, unknowns, newton, steps = history.pop("state")
+    states = {name: (table[:, :3], table[:, 3:]) for name, table in tables.items()}
+    return Solution(states, rest, volume, min_j, int(unknowns), int(newton), int(steps), outcome.cpu_s, history)
+
+
+@dataclass(frozen=True)
+class Form:
+    """A question to the engine: positions x (the field v of the prestrain's tasks), reference X (n, 3), vertex pressures p;
+    direction v (n, 3), dp; loads: pressure (kPa), stiffness of vein springs and of the pericardium (kPa/mm)."""
+
+    task: int
+    x: FloatArray
+    reference: FloatArray
+    p: FloatArray
+    v: FloatArray | None = None
+    dp: FloatArray | None = None
+    loads: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Energy (kPa mm3), cavity volume (mm3), residual: forces (n, 3), volume equations (nv,), tangent times direction."""
+
+    energy: float
+    volume: float
+    force: FloatArray
+    gap: FloatArray
+    tangent_force: FloatArray
+    tangent_gap: FloatArray
+
+
+def vertices(bundle: Bundle) -> IntArray:
+    """Nodes (nv,) that carry pressures, ascending: the order of ``p`` in forms."""
+    return np.unique(bundle.tets[:, :4])
+
+
+def ask(
+    bundle: Bundle,
+    materials: FloatArray,
+    forms: list[Form],
+    faces: Sequence[tuple[int, NDArray[np.bool_], FloatArray | None]],
+    points: int = 14,
+) -> tuple[list[Answer], float]:
+    """Answers to ``forms`` in one run, and its CPU seconds. ``faces``: kind, which triangles (k,), their vertices'
+    weights (kept, 3) or None for ones."""
+    n, nv = len(bundle.points), len(vertices(bundle))
+    with tempfile.TemporaryDirectory(prefix="lacli-verify-") as name:
+        folder = Path(name)
+        _write_mesh(bundle, materials, folder)
+        files = []
+        for i, (kind, keep, weight) in enumerate(faces):
+            files.append((kind, f"faces{i}.txt"))
+            _write_faces(bundle, keep, folder / f"faces{i}.txt", weight)
+        settings = [[float(f.task), *f.loads] for f in forms]
+        zero, none = np.zeros((n, 3)), np.zeros(nv)
+        states = [np.concatenate([f.x.T.ravel(), f.p]) for f in forms]
+        directions = [np.concatenate([(zero if f.v is None else f.v).T.ravel(), none if f.dp is None else f.dp]) for f in forms]
+        inputs.write_arrays(
+            folder / "forms.txt",
+            np.array(settings),
+            np.array(states),
+            np.array([f.reference.T for f in forms]),
+            np.array(directions),
+        )
+        outcome = _run("verification_forms.edp.j2", folder, order=bundle.order, points=points, faces=files)
+        table = np.loadtxt(folder / "forms_out.txt").reshape(len(forms), 2 + 2 * (3 * n + nv))
+    size = 3 * n + nv
+    answers = []
+    for row in table:
+        r, k = row[2 : 2 + size], row[2 + size :]
+        forces = r[: 3 * n].reshape(3, n).T, r[3 * n :], k[: 3 * n].reshape(3, n).T, k[3 * n :]
+        answers.append(Answer(float(row[0]), float(row[1]), *forces))
+    return answers, outcome.cpu_s
+
+
+def respond(materials: FloatArray, F: FloatArray, p: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float]:
+    """Energy (k,), first Piola stress (k, 3, 3), dP/dF (k, 3, 3, 3, 3), dP/df (k, 3, 3, 3), kPa, and CPU seconds, of
+    (k, 11) materials (with the fibre) at deformation gradients F (k, 3, 3) and pressures p (k,), tension positive."""
+    with tempfile.TemporaryDirectory(prefix="lacli-verify-") as name:
+        folder = Path(name)
+        inputs.write_arrays(folder / "law.txt", materials, np.column_stack([F.reshape(-1, 9), p]))
+        outcome = _run("verification_law.edp.j2", folder)
+        table = np.loadtxt(folder / "response.txt").reshape(len(F), 118)
+    return (
+        table[:, 0],
+        table[:, 1:10].reshape(-1, 3, 3),
+        table[:, 10:91].reshape(-1, 3, 3, 3, 3),
+        table[:, 91:].reshape(-1, 3, 3, 3),
+        outcome.cpu_s,
+    )
+
+
+def _write_mesh(bundle: Bundle, materials: FloatArray, folder: Path) -> None:
+    inputs.write_mesh(bundle, folder / "wall.mesh")
+    inputs.write_arrays(folder / "cells.txt", bundle.tets[:, inputs.CELL_ORDER] if bundle.order == 2 else bundle.tets)
+    inputs.write_arrays(folder / "points.txt", bundle.points.T)
+    inputs.write_arrays(folder / "materials.txt", np.broadcast_to(materials, (len(bundle.tets), 12)))
+
+
+def _write_faces(bundle: Bundle, keep: NDArray[np.bool_], file: Path, weight: FloatArray | None = None) -> None:
+    count = 3 * int(keep.sum())
+    faces = bundle.triangles[keep][:, inputs.FACE_ORDER] if bundle.order == 2 else bundle.triangles[keep]
+    inputs.write_arrays(file, faces, np.ones(count) if weight is None else weight)
+
+
+def _run(template: str, folder: Path, **choices: Any) -> freefem.Outcome:
+    text = render_template(template, plugin(), **choices)
+    script = folder / "deck.edp"
+    script.write_text(text, encoding="utf-8")
+    solvers = resources.folder("solvers") / "freefem"
+    outcome = freefem.run(freefem.find(), script, folder, TIMEOUT_S, includes=(solvers,))
+    if outcome.kind is not None:
+        raise SimulationError(outcome.kind, f"A verification problem did not end ({outcome.kind}): {outcome.message}")
+    return outcome
