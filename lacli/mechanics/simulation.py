@@ -12,6 +12,7 @@ import meshio
 import numpy as np
 import pandas as pd
 
+from lacli.anatomy.surface_features import cavity_volume_ml, displacements_mm
 from lacli.base import resources
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import SimulationError
@@ -24,7 +25,7 @@ from lacli.freefem import program as freefem
 from lacli.mechanics import engine, inputs
 from lacli.mechanics.accuracy import known_errors
 from lacli.mechanics.deck import render
-from lacli.mechanics.features import cavity_volume_ml, cell_gradient, displacements_mm, regional_extras
+from lacli.mechanics.features import cell_gradient, regional_extras
 from lacli.mechanics.plan import Plan, make_plan
 from lacli.mechanics.store import OpenRun, StoredRun, open_run
 from lacli.motion.annulus import scene_motion
