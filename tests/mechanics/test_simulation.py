@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from shapes import cut_ball
 
+from lacli.anatomy.surface_features import cavity_volume_ml, displacements_mm
 from lacli.anatomy.wall.shell import mesh_shell
 from lacli.base.errors import AnatomyError, SceneError
 from lacli.contracts import bundle as bundles
@@ -18,7 +19,7 @@ from lacli.contracts.motion import save_motion
 from lacli.contracts.scene import Scene, build_scene
 from lacli.freefem import program as freefem
 from lacli.mechanics import deck, inputs, plan, simulation
-from lacli.mechanics.features import cavity_volume_ml, displacements_mm, regional_extras
+from lacli.mechanics.features import regional_extras
 from lacli.motion.annulus import scene_motion
 from lacli.synthetic.atrium import synthesize
 
