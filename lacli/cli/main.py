@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import importlib
-import importlib.util
 import os
 import sys
 from collections.abc import Callable
@@ -13,36 +12,17 @@ import typer
 
 from lacli import __version__
 from lacli.base.errors import LacliError
+from lacli.cli.commands import commands
 from lacli.cli.console import fail
+from lacli.cli.plain import application
 
-# command -> one line of help; the function ``command`` in lacli/cli/<name>.py does the work
-COMMANDS: dict[str, str] = {
-    "doctor": "Find FreeFEM, its plugins, BLAS and gmsh; say what is missing and what installs it.",
-    "synthesize": "Write a parametric left atrium from a seed (bundle, label map, motion, targets).",
-    "mesh": "Turn a label map or a surface into an anatomy bundle.",
-    "fat": "Segment epicardial fat in a CT volume; volume per region and its mesh.",
-    "simulate": "Run a scene: features, transients, fields, pictures.",
-    "verify": "Run the verification problems: computed, reference, error.",
-    "tradeoff": "Measure speed against accuracy on your scene and machine.",
-    "design": "Choose the parameter sets of the next runs, and run them.",
-    "emulate": "Fit and check one Gaussian-process emulator per output.",
-    "sensitivity": "Rank the inputs by Sobol' indices through the emulators.",
-    "match": "History matching: rule out parameters, sample what is left.",
-    "posterior": "Sample the posterior by MCMC through the emulators.",
-    "calibrate": "All inference steps for one patient, resumable.",
-}
-
-
-def _exists(name: str) -> bool:
-    return importlib.util.find_spec(f"lacli.cli.{name}") is not None
+COMMANDS = commands()
 
 
 def build(called: set[str]) -> typer.Typer:
     """The application; only the commands in ``called`` are imported, the others are known by name and help."""
-    app = typer.Typer(no_args_is_help=True, add_completion=True, rich_markup_mode="rich", callback=_root)
+    app = application(no_args_is_help=True, add_completion=True, callback=_root)
     for name, text in COMMANDS.items():
-        if not _exists(name):
-            continue
         if name in called:
             app.command(name=name, short_help=text)(_interruptible(importlib.import_module(f"lacli.cli.{name}").command))
         else:
