@@ -11,8 +11,9 @@ from rich.text import Text
 
 from lacli.base.errors import SimulationError
 from lacli.cli.console import err, fail, out, print_json, print_table
+from lacli.cli.scenes import read_scene
 from lacli.contracts.identity import run_key
-from lacli.contracts.scene import Scene, load_scene
+from lacli.contracts.scene import Scene
 from lacli.mechanics.store import find_run, list_runs
 
 _UNITS = {"_ml": "mL", "_mm": "mm", "_s": "s", "_mb": "MB", "_mmhg": "mmHg", "_kpa": "kPa"}
@@ -34,7 +35,7 @@ def command(
 
     Example: lacli simulate examples/scene.toml --set loads.esp_mmhg=18 --set materials.c_kpa.roof=2.5
     """
-    scene = load_scene(scene_file, overrides or [])
+    scene = read_scene(scene_file, overrides)
     if dry_run:
         _show_plan(scene, root, as_json)
         return
