@@ -26,12 +26,9 @@ from lacli import __version__
 from lacli.base.errors import StorageError
 from lacli.base.files import room, storing, write_json, write_text
 from lacli.base.locks import lock
-from lacli.contracts.failures import MACHINE, of_the_machine
+from lacli.contracts.failures import of_the_machine
 from lacli.contracts.identity import run_key
 from lacli.contracts.scene import Scene, dump_scene
-
-# failures of the machine, not of the scene: asked again, they run again
-TRANSIENT_KINDS = frozenset(MACHINE)
 
 
 @dataclass(frozen=True)

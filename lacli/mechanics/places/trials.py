@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from lacli.base.errors import LacliError, StorageError
 from lacli.base.machine import memory_limit
 from lacli.base.notes import note
-from lacli.contracts.failures import ATTEMPTS, MACHINE
+from lacli.contracts.failures import MACHINE, MOST_ATTEMPTS
 from lacli.contracts.identity import run_key
 from lacli.contracts.scene import Scene
 
@@ -38,10 +38,11 @@ class Trials:
         self.kinds[index].append(kind)
         if kind in ("out_of_memory", "killed"):
             self.alone.add(index)
-        if not last and len(self.kinds[index]) < ATTEMPTS:
+        if not last and len(self.kinds[index]) < MOST_ATTEMPTS:
             note(f"run {run_key(self.scenes[index])}: {message} Tried once more.", once=False)
             return None
-        return _given_up(self.scenes[index], self.root, kind, f"{self._account(index)} {message}{self._memory(index)}")
+        words = f"{self._account(index)} {message}{self._memory(index)}"
+        return _given_up(self.scenes[index], self.root, kind, words, self.memory_mb[index])
 
     def _account(self, index: int) -> str:
         counted = Counter(self.kinds[index])
@@ -54,11 +55,13 @@ class Trials:
         return f" It was seen to take {self.memory_mb[index]:.0f} MB; {memory_limit()}."
 
 
-def _given_up(scene: Scene, root: Path, kind: str, message: str) -> RunResult:
+def _given_up(scene: Scene, root: Path, kind: str, message: str, memory_mb: float) -> RunResult:
     from lacli.mechanics.simulation import RunResult
 
     key = run_key(scene)
-    manifest = {"key": key, "status": "failed", "kind": kind, "message": message}
+    manifest = {
+        "key": key, "status": "failed", "kind": kind, "message": message, "attempts": MOST_ATTEMPTS, "peak_memory_mb": memory_mb,
+    }  # fmt: skip
     return RunResult(key, root / key, "failed", kind, message, {}, manifest)
 
 
