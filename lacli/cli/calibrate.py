@@ -90,8 +90,10 @@ def command(
         _finish(result, folder, figures, as_json, time.monotonic() - begin, None)
         return
     from lacli.calibration.simulator import simulator
+    from lacli.cli.scenes import read_scene
 
     assert scene is not None
+    read_scene(scene, overrides, box)
     run = simulator(scene, root or folder / "runs", workers, scheduler, overrides)
     if synthetic:
         from lacli.calibration.synthetic_truth import default_truth, verify

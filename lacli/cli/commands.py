@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 
 # as a study goes; a command that is not named here follows these, by its name
@@ -13,6 +14,7 @@ _HEAD = "\ndef command("
 _QUOTES = '"""'
 
 
+@functools.cache
 def commands(folder: Path | None = None) -> dict[str, str]:
     """Command -> its line of help, in the order of ``lacli --help``.
 

@@ -55,8 +55,10 @@ def command(
     failed = 0
     if scene is not None and run:
         from lacli.calibration.simulator import simulator
+        from lacli.cli.scenes import read_scene
         from lacli.inference.runs import RunLog
 
+        read_scene(scene, box=box)
         log = RunLog(table.with_suffix(".csv"), box.names, (*OUTPUTS, "edv_ml"))
         with progress() as bar:
             task = bar.add_task("simulations", total=len(x))

@@ -227,9 +227,10 @@ def test_a_design_that_was_looked_at_first_is_run(tmp_path, monkeypatch):
         return run
 
     monkeypatch.setattr("lacli.calibration.simulator.simulator", simulator)
+    (tmp_path / "scene.toml").write_text('[anatomy]\nbundle = "la"\n')
     call("design", "-n", 4, "--out", tmp_path / "d.csv")
     for _ in range(2):  # the second time all are known
-        result = document("design", "scene.toml", "-n", 4, "--run", "--out", tmp_path / "d.csv")
+        result = document("design", tmp_path / "scene.toml", "-n", 4, "--run", "--out", tmp_path / "d.csv")
         assert asked == [4] and result["failed"] == 0
         frame = pd.read_csv(tmp_path / "d.csv")
         assert (frame["status"] == "done").all() and (frame["esv_ml"] == 90).all()
@@ -237,8 +238,9 @@ def test_a_design_that_was_looked_at_first_is_run(tmp_path, monkeypatch):
 
 def test_runs_are_not_added_to_a_table_of_something_else(tmp_path):
     (tmp_path / "other.csv").write_text("price,sort\n1,2\n")
+    (tmp_path / "scene.toml").write_text('[anatomy]\nbundle = "la"\n')
     with pytest.raises(TableError, match=r"other\.csv: .* no column alpha_anterior.* another --out"):
-        call("design", "-n", 4, "--run", "scene.toml", "--out", tmp_path / "other.csv")
+        call("design", "-n", 4, "--run", tmp_path / "scene.toml", "--out", tmp_path / "other.csv")
     assert (tmp_path / "other.csv").read_text() == "price,sort\n1,2\n"
 
 
