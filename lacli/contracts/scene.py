@@ -306,7 +306,8 @@ def parameter_box(names: list[str] | None = None) -> dict[str, tuple[float, floa
     return {name: _LIMITS[name] for name in names}
 
 
-def _address(name: str) -> list[str]:
+def address(name: str) -> list[str]:
+    """Where an input of the parameter table lives in a scene: its keys from the outermost to the innermost."""
     if name in ("edp_mmhg", "esp_mmhg"):
         return ["loads", name]
     if name in ("k_peri_kpa_per_um", "pth"):
@@ -321,7 +322,7 @@ def with_parameters(scene: Scene, values: Mapping[str, float]) -> Scene:
     parameter_box(list(values))
     document = scene.model_dump(mode="json", exclude_none=True)
     for name, value in values.items():
-        *path, last = _address(name)
+        *path, last = address(name)
         place = document
         for part in path:
             place = place[part]
