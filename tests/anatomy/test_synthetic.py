@@ -10,6 +10,7 @@ import pytest
 
 from lacli.anatomy.coordinates import uac
 from lacli.anatomy.coordinates.describe import Layer, _rim, describe, fine_layer_of
+from lacli.anatomy.surface_features import endocardial_regions
 from lacli.anatomy.wall.shell import frame_of, mesh_shell
 from lacli.base.errors import AnatomyError, InputError
 from lacli.contracts.bundle import Bundle, check, load, save
@@ -19,7 +20,6 @@ from lacli.geometry import curves as paths
 from lacli.geometry import tetrahedra as cells
 from lacli.geometry.surface import Surface, defects
 from lacli.geometry.triangles import area_normals
-from lacli.mechanics.features import endocardial_regions
 from lacli.motion.annulus import annulus_points, descend
 from lacli.synthetic.atrium import cavity, signed_distance, sized, synthesize
 from lacli.synthetic.shape import COHORT_ML, cohort_volume
