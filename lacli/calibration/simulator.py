@@ -74,4 +74,5 @@ def _outcome(result: RunResult, errors: dict[str, float]) -> Outcome:
         float(outputs.get("cpu_s", float("nan"))),
         result.message if result.status != "done" else "",
         float(result.manifest.get("peak_memory_mb") or float("nan")),
+        int(result.manifest.get("attempts") or 1),
     )

@@ -130,18 +130,13 @@ def _from_table(
     """The calibration of a table, and the folder it is in."""
     from lacli.calibration.calibration import calibrate, calibration_identity, given_runs, obstacle
     from lacli.contracts.identity import settle
-    from lacli.contracts.table import ERROR_SUFFIX, IGNORED, ended_by_machine, read_frame
+    from lacli.contracts.table import ERROR_SUFFIX, IGNORED, read_frame
     from lacli.contracts.targets import read_targets
     from lacli.inference.box import RANGES, read_box, table_box
     from lacli.inference.runs import RunLog
 
     targets = read_targets(targets_file)
     frame = read_frame(path)
-    if (lost := ended_by_machine(frame)).any():
-        err.print(f"note: {lost.sum()} runs of {path} were ended by the machine: no results.", highlight=False, soft_wrap=True)
-        frame = frame[~lost]
-    if frame.empty:
-        raise UsageError(f"{path}: no run with a result in it.")
     if box_file:
         box = read_box(box_file)
     else:

@@ -13,9 +13,9 @@ import pandas as pd
 
 from lacli.base.arrays import BoolArray, FloatArray
 from lacli.base.errors import TableError, UsageError
-from lacli.contracts.failures import TRANSIENT_KINDS
+from lacli.contracts.failures import MACHINE
 
-STATUS, KIND = "status", "kind"
+STATUS = "status"
 OK_STATUS = {"ok", "done", "success", "converged", "true", "1"}
 ERROR_SUFFIX = "_discretisation_error"
 _PARQUET = (".parquet", ".pq")
@@ -105,9 +105,9 @@ def finished(frame: pd.DataFrame) -> BoolArray:
 def ended_by_machine(frame: pd.DataFrame) -> BoolArray:
     """Whether each row (n,) is a run that the machine ended (killed, out_of_memory, ...): it has no result."""
     lost = np.zeros(len(frame), bool)
-    for name in (STATUS, KIND, "failure"):
+    for name in (STATUS, "kind", "failure"):
         if name in frame.columns:
-            lost |= frame[name].astype(str).str.strip().str.lower().isin(TRANSIENT_KINDS).to_numpy(bool)
+            lost |= frame[name].astype(str).str.strip().str.lower().isin(list(MACHINE)).to_numpy(bool)
     return lost & ~finished(frame) if STATUS in frame.columns else lost
 
 
@@ -169,8 +169,7 @@ def combine(
     lost_rows = ended_by_machine(inputs) | ended_by_machine(outputs)
     if lost_rows.any():
         notes.append(
-            f"{int(lost_rows.sum())} run(s) that the machine ended ({_list(sorted(TRANSIENT_KINDS))}) are left out: they are no"
-            " results."
+            f"{int(lost_rows.sum())} run(s) that the machine ended ({_list(list(MACHINE))}) are left out: they are no results."
         )
         inputs, outputs = inputs[~lost_rows], outputs[~lost_rows]
     status_ok = finished(inputs) & finished(outputs)

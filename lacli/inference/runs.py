@@ -14,17 +14,17 @@ from lacli.base.arrays import FloatArray
 from lacli.base.errors import LacliError, TableError, UsageError
 from lacli.base.files import replacing
 from lacli.base.process import memory_mb
-from lacli.contracts.failures import MOST_ATTEMPTS, TRANSIENT_KINDS
+from lacli.contracts import failures
 from lacli.contracts.identity import Identity, beside, conflict, identify, read_identity, write_identity
-from lacli.contracts.table import ERROR_SUFFIX, KIND, STATUS, RunTable, combine, ended_by_machine, input_values, read_frame
+from lacli.contracts.table import ERROR_SUFFIX, STATUS, RunTable, combine, input_values, read_frame
 
-ATTEMPTS, MESSAGE, MEMORY = "attempts", "message", "peak_memory_mb"
+KIND, ATTEMPTS, MESSAGE, MEMORY = "kind", "attempts", "message", "peak_memory_mb"
 
 
 @dataclass(frozen=True)
 class Outcome:
     """What came of a run: outputs by name, status ``done`` or ``failed``, the kind of failure and its message, discretisation
-    errors (one standard deviation, by output's name), CPU seconds, peak memory."""
+    errors (one standard deviation, by output's name), CPU seconds, peak memory; attempts that the machine ended."""
 
     outputs: dict[str, float]
     status: str = "done"
@@ -33,6 +33,12 @@ class Outcome:
     cpu_s: float = float("nan")
     message: str = ""
     peak_memory_mb: float = float("nan")
+    attempts: int = 1
+
+    @property
+    def lost(self) -> bool:
+        """Whether the machine ended the run: no result."""
+        return self.status != "done" and failures.of_the_machine(self.kind)
 
 
 class Simulator(Protocol):
@@ -74,18 +80,15 @@ class RunLog:
         if missing := [name for name in self.inputs if name not in frame.columns]:
             raise TableError(f"{self.path}: no column {', '.join(missing)}; the columns are {', '.join(frame.columns)}.")
         x = input_values(frame[list(self.inputs)], str(self.path))
-        counts = pd.to_numeric(frame[ATTEMPTS], errors="coerce").fillna(1) if ATTEMPTS in frame else np.ones(len(frame))
-        for values, row, lost, count in zip(
-            x.tolist(), frame.to_dict("records"), ended_by_machine(frame), np.asarray(counts, int), strict=True
-        ):
-            self.rows[tuple(values)] = {STATUS: "done"} | {str(k): v for k, v in row.items()}
-            if lost:
-                self.attempts[tuple(values)] = 0 if retry else int(count)
+        for values, cells in zip(x.tolist(), frame.to_dict("records"), strict=True):
+            row = self.rows[tuple(values)] = {STATUS: "done"} | {str(k): v for k, v in cells.items()}
+            if Outcome({}, str(row[STATUS]), str(row.get(KIND))).lost:
+                self.attempts[tuple(values)] = 0 if retry else _count(row.get(ATTEMPTS))
 
     def run(self, simulator: Simulator, x: FloatArray, tick: Callable[[int, int], None] | None = None) -> None:
         """Make sure that every row of x (m, d) is in the log; tick(done, total) after each.
 
-        A run that the machine ends is tried again after the others, MOST_ATTEMPTS times in all, earlier calls included.
+        A run that the machine ends is tried again after the others, failures.ATTEMPTS times in all, earlier calls included.
         Raises LacliError for points that were ended as often as that; all others are then in the log.
         """
         assert self.identity is not None, "a table from elsewhere takes no runs"
@@ -107,7 +110,7 @@ class RunLog:
 
     def _open(self, point: tuple[float, ...]) -> bool:
         """Whether the point is still to be run."""
-        return point not in self.rows or self.attempts.get(point, MOST_ATTEMPTS) < MOST_ATTEMPTS
+        return point not in self.rows or self.attempts.get(point, failures.ATTEMPTS) < failures.ATTEMPTS
 
     def _note(self, point: tuple[float, ...], outcome: Outcome) -> None:
         row: dict[str, object] = dict(zip(self.inputs, point, strict=True))
@@ -116,8 +119,8 @@ class RunLog:
         row |= {STATUS: outcome.status, KIND: outcome.kind, "cpu_s": outcome.cpu_s, MEMORY: outcome.peak_memory_mb}
         if outcome.message:
             row[MESSAGE] = outcome.message
-        if outcome.status != "done" and outcome.kind in TRANSIENT_KINDS:
-            row[ATTEMPTS] = self.attempts[point] = self.attempts.get(point, 0) + 1
+        if outcome.lost:
+            row[ATTEMPTS] = self.attempts[point] = self.attempts.get(point, 0) + outcome.attempts
         else:
             self.attempts.pop(point, None)
         self.rows[point] = row
@@ -129,10 +132,13 @@ class RunLog:
         needed = [float(str(row.get(MEMORY, "nan"))) for row in self.rows.values()]
         known = [value for value in needed if np.isfinite(value)]
         total, available = memory_mb()
+        message = first.get(MESSAGE)
+        said = f"{message} " if isinstance(message, str) else ""
         takes = f"Runs of this table took up to {max(known):.0f} MB; " if known else ""
+        kind = str(first[KIND])
         return (
-            f"{len(lost)} of the runs were ended by the machine {MOST_ATTEMPTS} times, the first at {where}: "
-            f"{first[KIND]}. {first.get(MESSAGE) or ''} {takes}{available:.0f} of {total:.0f} MB of memory are free here. "
+            f"{len(lost)} of the runs were ended by the machine {failures.ATTEMPTS} times or more, the first at {where}: "
+            f"{kind} ({failures.MACHINE[kind]}). {said}{takes}{available:.0f} of {total:.0f} MB of memory are free here. "
             "Give more memory or disk, or run fewer side by side (--workers 1); then call again with --retry. "
             f"All other runs are kept in {self.path}."
         )
@@ -160,6 +166,11 @@ class RunLog:
         """The checked table of the runs at x (m, d), in that order, with the named outputs."""
         frame = self.frame(x)
         return combine(frame, frame, input_names=self.inputs, output_names=outputs, where=str(self.path))
+
+
+def _count(cell: object) -> int:
+    """A number of attempts as a table has it; one where it says none."""
+    return int(cell) if isinstance(cell, (int, float)) and np.isfinite(cell) and cell >= 1 else 1
 
 
 def obstacle(path: Path, identity: Identity) -> str:

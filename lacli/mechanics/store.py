@@ -28,11 +28,13 @@ import numpy as np
 from lacli import __version__
 from lacli.base.errors import StorageError
 from lacli.base.files import room, storing, write_json, write_text
-from lacli.contracts.failures import TRANSIENT_KINDS
+from lacli.contracts.failures import MACHINE
 from lacli.contracts.identity import file_digest, run_key
 from lacli.contracts.scene import Scene, dump_scene
 
 _logger = logging.getLogger(__name__)
+# failures of the machine, not of the scene: asked again, they run again
+TRANSIENT_KINDS = frozenset(MACHINE)
 _ALWAYS_READ = 1 << 18  # bytes; a smaller product's content is compared whenever its run is found (0.2 ms)
 
 
