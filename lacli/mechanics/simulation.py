@@ -18,7 +18,7 @@ from lacli.mechanics import deck, results
 from lacli.mechanics.accuracy import known_errors
 from lacli.mechanics.deck import Deck, OnProgress
 from lacli.mechanics.plan import prepare
-from lacli.mechanics.store import OpenRun, StoredRun, open_run
+from lacli.mechanics.store import OpenRun, StoredRun, check_products, open_run
 
 _WRITTEN = "deck.json"  # the key of a deck that is run by hand
 _PRODUCTS = ("scene.toml", deck.SCRIPT, "features.json", "transients.csv")
@@ -48,11 +48,14 @@ def run_scene(scene: Scene, root: Path, on_progress: OnProgress | None = None) -
             written = deck.write(case, run.folder)
             _keep(run, case, written, deck.run(written, scene.numerics.timeout_s, on_progress))
         assert run.stored is not None
-        return _result(run.stored)
+        return _result(run.stored, scene)
 
 
-def _result(stored: StoredRun) -> RunResult:
-    features = stored.features() if stored.status == "done" else {}
+def _result(stored: StoredRun, scene: Scene) -> RunResult:
+    features: dict[str, Any] = dict(stored.features()) if stored.status == "done" else {}
+    # looked up now, not kept with the run: they may have been measured since
+    if features and (errors := known_errors(scene)):
+        features["discretisation_error"] = errors
     return RunResult(stored.key, stored.folder, stored.status, stored.kind, stored.message, features, stored.manifest)
 
 
@@ -82,8 +85,6 @@ def collect(case: Case, folder: Path, **cost: float) -> tuple[dict[str, Any], li
     """
     found = results.read(case, folder)
     features = results.features(case, found) | cost
-    if errors := known_errors(case.scene):
-        features["discretisation_error"] = errors
     write_json(folder / "features.json", features)
     results.transients(case, found).to_csv(folder / "transients.csv", index=False)
     return features, [*_PRODUCTS, *results.write_fields(case, found, folder)]
@@ -126,7 +127,10 @@ def rerun(folder: Path, on_progress: OnProgress | None = None) -> tuple[dict[str
     Nothing is kept of the second run. Raises as ``read_by_hand`` does, and SimulationError where the second run fails.
     """
     scene = _scene_of(folder, "manifest.json")
-    before = json.loads((folder / "features.json").read_text(encoding="utf-8")) if (folder / "features.json").is_file() else {}
+    manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+    stored = StoredRun(manifest["key"], folder, manifest)
+    check_products(stored, manifest.get("products", {}))
+    before = stored.features()
     case = prepare(scene)
     with tempfile.TemporaryDirectory(prefix=".rerun-", dir=folder.parent) as name:
         place = Path(name)
