@@ -127,7 +127,7 @@ def _label(name: str) -> tuple[str, str]:
 def _show_plan(scene: Scene, root: Path, as_json: bool) -> None:
     from lacli.contracts import bundle as bundles
     from lacli.mechanics import cost
-    from lacli.mechanics.deck import describe
+    from lacli.mechanics.plan import describe
 
     bundle = bundles.load(scene.anatomy.bundle)
     terms = [(term, included, why) for term, included, why in describe(scene, bundle)]

@@ -13,10 +13,11 @@ from lacli.anatomy.wall.shell import mesh_shell
 from lacli.base.errors import AnatomyError, SceneError
 from lacli.contracts import bundle as bundles
 from lacli.contracts.bundle import Bundle
+from lacli.contracts.case import Case, as_order
 from lacli.contracts.motion import save_motion
 from lacli.contracts.scene import Scene, build_scene
 from lacli.freefem import program as freefem
-from lacli.mechanics import deck, engine, inputs, plan, simulation
+from lacli.mechanics import deck, inputs, plan, simulation
 from lacli.mechanics.features import cavity_volume_ml, displacements_mm, regional_extras
 from lacli.motion.annulus import scene_motion
 from lacli.synthetic.atrium import synthesize
@@ -81,16 +82,13 @@ def test_units_are_converted_once(folder: Path, ball: Bundle) -> None:
 
 def test_a_term_left_out_equals_a_term_of_zero(folder: Path, ball: Bundle, tmp_path: Path) -> None:
     chosen = scene(folder)
-    work = inputs.as_order(ball, 1)
+    work = as_order(ball, 1)
     without = plan.make_plan(chosen, work, None)
     volumes = []
     for name, terms in (("without", without), ("zero", replace(without, pericardium=True))):
         place = tmp_path / name
         place.mkdir()
-        inputs.write_inputs(work, chosen, terms, None, place)
-        (place / "deck.edp").write_text(deck.render(chosen, terms, engine.plugin()))
-        solvers = simulation.resources.folder("solvers") / "freefem"
-        outcome = freefem.run(freefem.find(), place / "deck.edp", place, 120, includes=(solvers,))
+        outcome = deck.run(deck.write(Case(chosen, work, None, terms), place), 120)
         assert outcome.done, outcome.message
         table = np.loadtxt(place / "es.txt")
         volumes.append((cavity_volume_ml(work, table[:, :3]), table[:, :3]))
@@ -221,7 +219,7 @@ def test_pericardium_weight_is_zero_at_the_valve_and_one_on_the_roof(folder: Pat
 
 
 def test_a_linear_bundle_refuses_quadratic_numerics(ball: Bundle) -> None:
-    linear = inputs.as_order(ball, 1)
+    linear = as_order(ball, 1)
     assert linear.tets.shape[1] == 4 and linear.tets.max() == len(linear.points) - 1
     with pytest.raises(AnatomyError, match=r"numerics\.order"):
-        inputs.as_order(linear, 2)
+        as_order(linear, 2)
