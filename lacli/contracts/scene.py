@@ -152,13 +152,15 @@ class Numerics(_Frozen):
 
 
 class Outputs(_Frozen):
-    """What is written beside the features at end-systole. ``unloaded``: also the wall without pressure, and its volume."""
+    """What is written beside the features at end-systole. ``unloaded``: also the wall without pressure, and its volume.
+    ``sensitivities``: also the features' derivatives by the study's inputs, at end-systole and in every frame."""
 
     frames: Annotated[int, Field(ge=0, le=100)] = 0
     conduit: bool = False
     fields: Literal["none", "es", "all"] = "es"
     strain: bool = False
     unloaded: bool = True
+    sensitivities: bool = False
 
 
 class Scene(_Frozen):

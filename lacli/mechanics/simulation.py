@@ -10,7 +10,7 @@ from lacli.base.files import write_json
 from lacli.contracts.case import Case
 from lacli.contracts.scene import Scene
 from lacli.freefem import program as freefem
-from lacli.mechanics import deck, results
+from lacli.mechanics import deck, results, sensitivities
 from lacli.mechanics.accuracy import known_errors
 from lacli.mechanics.deck import Deck, OnProgress
 from lacli.mechanics.plan import prepare
@@ -65,12 +65,14 @@ def _keep(run: OpenRun, case: Case, written: Deck, outcome: freefem.Outcome) -> 
         run.finish("failed", kind=outcome.kind, message=outcome.message, **usage)
         return
     features, products = collect(case, run.folder, cpu_s=outcome.cpu_s, peak_memory_mb=outcome.peak_memory_mb)
+    if "sensitivities" in features:
+        usage["sensitivities"] = features["sensitivities"]
     results.tidy(run.folder)
     run.finish("done", products=products, newton_iterations=features["newton_iterations"], **usage)
 
 
 def collect(case: Case, folder: Path, **cost: float) -> tuple[dict[str, Any], list[str]]:
-    """Turn the raw results of a deck that has run in ``folder`` into ``features.json``, ``transients.csv`` and fields.
+    """Turn the raw results of a deck that has run in ``folder`` into ``features.json``, tables and fields.
 
     cost: cpu_s and peak_memory_mb, where they are known. Gives the features and the products' names.
     Raises SimulationError where FreeFEM's results cannot be read.
@@ -79,6 +81,9 @@ def collect(case: Case, folder: Path, **cost: float) -> tuple[dict[str, Any], li
     features = results.features(case, found) | cost
     if errors := known_errors(case.scene):
         features["discretisation_error"] = errors
+    products = [*_PRODUCTS, *sensitivities.write(case, found, folder)]
+    if said := sensitivities.statement(case, found):
+        features["sensitivities"] = said
     write_json(folder / "features.json", features)
     results.transients(case, found).to_csv(folder / "transients.csv", index=False)
-    return features, [*_PRODUCTS, *results.write_fields(case, found, folder)]
+    return features, [*products, *results.write_fields(case, found, folder)]
