@@ -3,44 +3,26 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
 
 import numpy as np
 
 from lacli.base.errors import AnatomyError
+from lacli.contracts import bundle as bundles
 from lacli.contracts.bundle import Bundle
+from lacli.contracts.case import Case, Phase, Plan, as_order, motion_as_order
 from lacli.contracts.labels import EPI, REGIONS, RINGS
 from lacli.contracts.motion import Motion
 from lacli.contracts.scene import MMHG_KPA, Scene
 from lacli.motion.annulus import scene_motion
 
 
-@dataclass(frozen=True)
-class Phase:
-    """A stretch of the load: pressures in kPa, times as shares of the cycle; ``file`` names the state at its end."""
-
-    name: str
-    file: str
-    pressure_from: float
-    pressure_to: float
-    time_from: float
-    time_to: float
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Which terms the deck contains, and its phases in order."""
-
-    title: str
-    unloading: bool
-    prestrain: bool
-    unloaded: bool
-    moving: bool
-    vein_springs: bool
-    pericardium: bool
-    outward_only: bool
-    fibres: bool
-    phases: tuple[Phase, ...]
+def prepare(scene: Scene) -> Case:
+    """The scene with its bundle, motion and plan, read and checked. Raises AnatomyError, InputError."""
+    whole = bundles.load(scene.anatomy.bundle)
+    motion = scene_motion(scene, whole)
+    order = scene.numerics.order
+    bundle = as_order(whole, order)
+    return Case(scene, bundle, motion_as_order(motion, whole, order), make_plan(scene, bundle, motion))
 
 
 def make_plan(scene: Scene, bundle: Bundle, motion: Motion | None) -> Plan:

@@ -81,7 +81,7 @@ def test_the_normal_points_out_of_the_cavity_and_the_tangents_lie_in_the_wall(su
 
 
 def test_tangents_lead_from_septum_to_lateral_wall_and_from_back_to_front(bundle: Bundle, surface: Endocardium) -> None:
-    """A small step along the tangent makes the coordinate grow by its gradient: checked with the shape's own finite differences."""
+    """A small step along the tangent makes the coordinate grow by its gradient."""
     assert bundle.uac is not None and surface.alpha is not None
     d1, d2 = tangents(surface.faces, surface.ed)
     s1, s2 = tangents(surface.faces, bundle.uac)
