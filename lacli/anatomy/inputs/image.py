@@ -270,7 +270,9 @@ def label_volumes(image: Image) -> dict[int, float]:
         for value, count in zip(*np.unique(slab, return_counts=True), strict=True):
             total[int(value)] = total.get(int(value), 0) + int(count)
         if len(total) > 256:
-            raise AnatomyError(f"the image has {len(total)} different values and more; a label map has a few (is it a CT volume?).")
+            raise AnatomyError(
+                f"the image has {len(total)} different values and more; a label map has a few (is it a CT volume?)."
+            )
     return {label: count * image.voxel_ml for label, count in sorted(total.items()) if label != 0}
 
 

@@ -128,7 +128,9 @@ def _parse(path: Path, head: bytes) -> tuple[Header, bytes]:
     used += [quaternion] if codes[0] > 0 else []
     used += [rows] if codes[1] > 0 else []
     if not all(np.isfinite(values).all() for values in used):
-        raise InputError(f"{path}: the affine or scaling of the NIfTI header has a value that is not finite (NaN); correct the header.")
+        raise InputError(
+            f"{path}: the affine or scaling of the NIfTI header has a value that is not finite (NaN); correct the header."
+        )
     unit, factor = UNITS.get(units & 7, ("", 1.0))
     spacing = np.abs(np.array(pixdim[1:4], dtype=np.float64)) * factor
     sform = _LPS @ (np.array(rows, dtype=np.float64).reshape(3, 4) * factor) if codes[1] > 0 else None
