@@ -200,7 +200,8 @@ class Numerics(_Frozen):
 
 
 class Outputs(_Frozen):
-    """What is written beside the features at end-systole. ``unloaded``: also the wall without pressure, and its volume."""
+    """What is written beside the features at end-systole. ``unloaded``: also the wall without pressure, and its volume.
+    ``sensitivities``: also the features' derivatives by the study's inputs, at end-systole and in every frame."""
 
     place = "outputs"
     frames: int = _default("outputs.frames")
@@ -208,6 +209,7 @@ class Outputs(_Frozen):
     fields: Literal["none", "es", "all"] = "es"
     strain: bool = False
     unloaded: bool = True
+    sensitivities: bool = False
 
 
 class Scene(_Frozen):
