@@ -172,7 +172,7 @@ def _build(
 
     given = None if file is None else landmarks.read(file)
     if image.is_image(source):
-        labels = image.read(source)
+        labels = image.read_labels(source)
         volumes = image.label_volumes(labels)
         return build.from_labels(labels, la_label(source, volumes, la), lv, options, given, say, wall)
     if source.name.removesuffix(".gz").endswith((".elem", ".pts")):

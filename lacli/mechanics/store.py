@@ -2,19 +2,21 @@
 
 A run is the folder ``<root>/<key>``. It is written as ``<root>/.tmp-<key>-<pid>`` under a lock that dies with its
 process, and renamed when it has ended, well or badly. It is complete when its manifest says ``done`` and every product
-the manifest lists is there in its full size. A failed run stays, with its kind, and counts; one that the machine ended
-(``lacli.contracts.failures``) leaves nothing and runs again.
+the manifest lists is there as it was written: of small files (features, transients, scene, deck) the content is compared
+whenever the run is found, of fields the size, and their content when they are used (``check_products``). A failed run stays,
+with its kind, and counts; one that the machine ended (``lacli.contracts.failures``) leaves nothing and runs again.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import os
 import platform
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -27,8 +29,11 @@ from lacli.base.errors import StorageError
 from lacli.base.files import room, storing, write_json, write_text
 from lacli.base.locks import lock
 from lacli.contracts.failures import of_the_machine
-from lacli.contracts.identity import run_key
+from lacli.contracts.identity import file_digest, run_key
 from lacli.contracts.scene import Scene, dump_scene
+
+_logger = logging.getLogger(__name__)
+_ALWAYS_READ = 1 << 18  # bytes; a smaller product's content is compared whenever its run is found (0.2 ms)
 
 
 @dataclass(frozen=True)
@@ -100,6 +105,7 @@ class OpenRun:
             "wall_s": round(time.time() - self.started, 3),
             "machine": {"system": platform.platform(), "processors": os.cpu_count()},
             "products": {name: (self.folder / name).stat().st_size for name in names if name not in missing},
+            "sha256": {name: file_digest(self.folder / name) for name in names if name not in missing},
             **fields,
             "versions": {**versions, **fields.get("versions", {})},
         }
@@ -130,7 +136,9 @@ def open_run(root: Path, scene: Scene, *, retry_failed: bool = False) -> Iterato
         (root / ".locks").mkdir(parents=True, exist_ok=True)
     with room(root / key), lock(root / ".locks" / key, "which does the same simulation"):
         _sweep(root, key)
-        stored = find_run(root, key)
+        stored, trouble = _examine(root, key)
+        if trouble:
+            _logger.warning("%s: %s; the run is made again.", root / key, trouble)
         if stored is not None and (stored.status == "done" or not retry_failed):
             yield OpenRun(key, root, stored.folder, stored)
             return
@@ -147,18 +155,46 @@ def open_run(root: Path, scene: Scene, *, retry_failed: bool = False) -> Iterato
 
 def find_run(root: Path, key: str) -> StoredRun | None:
     """The run of that key if it has ended (done and complete, or failed), else None."""
+    return _examine(root, key)[0]
+
+
+def check_products(run: StoredRun, names: Iterable[str]) -> None:
+    """Before products are used: whether they are as the run wrote them. Raises StorageError that names the one that is not."""
+    for name in names:
+        if trouble := _trouble(run.folder, run.manifest, name, whole=True):
+            raise StorageError(f"{run.folder}: {trouble}. Remove this folder and run the scene again.")
+
+
+def _examine(root: Path, key: str) -> tuple[StoredRun | None, str]:
+    """The run of that key if it has ended; else None, and what is wrong with what is there ('' where nothing is)."""
     folder = root / key
     try:
         manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
         if manifest["key"] != key or manifest["status"] not in ("done", "failed") or of_the_machine(manifest["kind"]):
-            return None
+            return None, "it was ended by the machine" if of_the_machine(manifest["kind"]) else "manifest.json is not this run's"
         if manifest["status"] == "done":
             for name, size in manifest["products"].items():
-                if (folder / name).stat().st_size != size:
-                    return None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return None
-    return StoredRun(key, folder, manifest)
+                if trouble := _trouble(folder, manifest, name, whole=size <= _ALWAYS_READ):
+                    return None, trouble
+        return StoredRun(key, folder, manifest), ""
+    except FileNotFoundError:
+        return None, "manifest.json is missing" if folder.is_dir() else ""
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        return None, f"manifest.json cannot be read ({error})"
+
+
+def _trouble(folder: Path, manifest: dict[str, Any], name: str, whole: bool) -> str:
+    """What is wrong with a product, '' if nothing. whole: compare its content, not just its size."""
+    file = folder / name
+    if not file.is_file():
+        return f"{name} is missing"
+    if file.stat().st_size != manifest["products"][name]:
+        return f"{name} has another size than it was written in"
+    # runs of earlier versions know sizes alone
+    known = manifest.get("sha256", {}).get(name)
+    if whole and known is not None and file_digest(file) != known:
+        return f"{name} was changed since it was written"
+    return ""
 
 
 def list_runs(root: Path) -> list[StoredRun]:

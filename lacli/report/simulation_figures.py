@@ -26,6 +26,7 @@ from lacli.contracts.labels import REGIONS, RINGS
 from lacli.report.style import PLANE_COLOUR, REGION_COLOURS, RING_COLOUR, paper
 
 TRANSIENTS, SHAPES = "transients.png", "shapes.png"
+SOURCES = ("transients.csv", "fields/ed.vtu", "fields/es.vtu")  # products of a run that the pictures are drawn from
 _COLUMNS = ("time", "phase", "pressure_mmhg", "volume_ml", "d_global_mm")
 _PIXELS = 700
 
