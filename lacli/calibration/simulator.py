@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lacli.contracts.scene import Scene, address, load_scene, with_parameters
+from lacli.contracts.parameters import QUANTITIES
+from lacli.contracts.scene import Scene, load_scene, with_parameters
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,7 +41,7 @@ class SceneSimulator:
         """The scene but for what the inputs set, the bundle's content, FreeFEM's scripts, the errors that travel with a run."""
         from lacli.contracts.identity import determinants, flatten
 
-        given = [".".join(address(name)) for name in inputs]
+        given = [QUANTITIES[name].key for name in inputs]
         kept = {key: value for key, value in flatten(determinants(self.scene)).items() if key not in given}
         return {**kept, "discretisation_error": self._errors()}
 

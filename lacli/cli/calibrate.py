@@ -94,11 +94,13 @@ def command(
         _finish(result, folder, figures, as_json, time.monotonic() - begin, None)
         return
     from lacli.calibration.simulator import simulator
+    from lacli.cli.scenes import read_scene
     from lacli.contracts.identity import settle
     from lacli.inference.runs import obstacle as runs_obstacle
     from lacli.inference.runs import runs_identity
 
     assert scene is not None
+    read_scene(scene, overrides, box)
     run = simulator(scene, root or folder / "runs", workers, scheduler, overrides)
     if synthetic:
         from lacli.calibration.synthetic_truth import default_truth, logged, truth_identity, verify

@@ -62,8 +62,10 @@ def command(
     box = read_box(box_file) if box_file else published_box(names or (SENSITIVITY_INPUTS if all_inputs else CALIBRATION_INPUTS))
     if scene is not None and run:
         from lacli.calibration.simulator import simulator
+        from lacli.cli.scenes import read_scene
         from lacli.inference.runs import runs_identity
 
+        read_scene(scene, box=box)
         program = simulator(scene, root, workers, scheduler)
         identity = runs_identity(program, box.names, (*OUTPUTS, "edv_ml"))
         table = _place_of_runs(table, identity, fresh)

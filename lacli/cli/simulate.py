@@ -11,8 +11,9 @@ from rich.text import Text
 
 from lacli.base.errors import SimulationError, UsageError
 from lacli.cli.console import err, fail, out, print_json, print_table
+from lacli.cli.scenes import read_scene
 from lacli.contracts.identity import Identity, file_digest, identify, run_key
-from lacli.contracts.scene import Scene, load_scene
+from lacli.contracts.scene import Scene
 from lacli.mechanics.store import find_run, list_runs
 
 _UNITS = {"_ml": "mL", "_mm": "mm", "_s": "s", "_mb": "MB", "_mmhg": "mmHg", "_kpa": "kPa"}
@@ -54,7 +55,7 @@ def command(
         _read(read, as_json)
         return
     assert scene_file is not None
-    scene = load_scene(scene_file, overrides or [])
+    scene = read_scene(scene_file, overrides)
     if write is not None:
         _write(scene, write, as_json)
         return

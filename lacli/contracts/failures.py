@@ -33,8 +33,9 @@ SCENE: Mapping[str, str] = MappingProxyType(
     }
 )
 
-# after so many ends of one run by the machine it is given up for this call, with the reason
-ATTEMPTS = 3
+TRANSIENT_KINDS = frozenset(MACHINE)
+# after so many ends of one run by the machine it is no accident: it is given up, with what would help
+MOST_ATTEMPTS = 3
 
 
 def of_the_machine(kind: str | None) -> bool:

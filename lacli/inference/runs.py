@@ -89,7 +89,7 @@ class RunLog:
     def run(self, simulator: Simulator, x: FloatArray, tick: Callable[[int, int], None] | None = None) -> None:
         """Make sure that every row of x (m, d) is in the log; tick(done, total) after each.
 
-        A run that the machine ends is tried again after the others, failures.ATTEMPTS times in all, earlier calls included.
+        A run that the machine ends is tried again after the others, failures.MOST_ATTEMPTS times in all, earlier calls included.
         Raises LacliError for points that were ended as often as that; all others are then in the log.
         """
         assert self.identity is not None, "a table from elsewhere takes no runs"
@@ -111,7 +111,7 @@ class RunLog:
 
     def _open(self, point: tuple[float, ...]) -> bool:
         """Whether the point is still to be run."""
-        return point not in self.rows or self.attempts.get(point, failures.ATTEMPTS) < failures.ATTEMPTS
+        return point not in self.rows or self.attempts.get(point, failures.MOST_ATTEMPTS) < failures.MOST_ATTEMPTS
 
     def _note(self, point: tuple[float, ...], outcome: Outcome) -> None:
         row: dict[str, object] = dict(zip(self.inputs, point, strict=True))
@@ -138,7 +138,7 @@ class RunLog:
         takes = f"Runs of this table took up to {max(known):.0f} MB; " if known else ""
         kind = str(first[KIND])
         return (
-            f"{len(lost)} of the runs were ended by the machine {failures.ATTEMPTS} times or more, the first at {where}: "
+            f"{len(lost)} of the runs were ended by the machine {failures.MOST_ATTEMPTS} times or more, the first at {where}: "
             f"{kind} ({failures.MACHINE[kind]}). {said}{takes}{available:.0f} of {total:.0f} MB of memory are free here. "
             "Give more memory or disk, or run fewer side by side (--workers 1); then call again with --retry. "
             f"All other runs are kept in {self.path}."

@@ -14,7 +14,7 @@ from lacli.contracts.case import Case
 from lacli.contracts.identity import run_key
 from lacli.contracts.scene import Scene, dump_scene, load_scene
 from lacli.freefem import program as freefem
-from lacli.mechanics import deck, results
+from lacli.mechanics import deck, results, sensitivities
 from lacli.mechanics.accuracy import known_errors
 from lacli.mechanics.deck import Deck, OnProgress
 from lacli.mechanics.plan import prepare
@@ -73,21 +73,26 @@ def _keep(run: OpenRun, case: Case, written: Deck, outcome: freefem.Outcome) -> 
         run.finish("failed", kind=outcome.kind, message=outcome.message, **usage)
         return
     features, products = collect(case, run.folder, cpu_s=outcome.cpu_s, peak_memory_mb=outcome.peak_memory_mb)
+    if "sensitivities" in features:
+        usage["sensitivities"] = features["sensitivities"]
     results.tidy(run.folder)
     run.finish("done", products=products, newton_iterations=features["newton_iterations"], **usage)
 
 
 def collect(case: Case, folder: Path, **cost: float) -> tuple[dict[str, Any], list[str]]:
-    """Turn the raw results of a deck that has run in ``folder`` into ``features.json``, ``transients.csv`` and fields.
+    """Turn the raw results of a deck that has run in ``folder`` into ``features.json``, tables and fields.
 
     cost: cpu_s and peak_memory_mb, where they are known. Gives the features and the products' names.
     Raises SimulationError where FreeFEM's results cannot be read.
     """
     found = results.read(case, folder)
     features = results.features(case, found) | cost
+    products = [*_PRODUCTS, *sensitivities.write(case, found, folder)]
+    if said := sensitivities.statement(case, found):
+        features["sensitivities"] = said
     write_json(folder / "features.json", features)
     results.transients(case, found).to_csv(folder / "transients.csv", index=False)
-    return features, [*_PRODUCTS, *results.write_fields(case, found, folder)]
+    return features, [*products, *results.write_fields(case, found, folder)]
 
 
 def write_by_hand(scene: Scene, folder: Path) -> Path:

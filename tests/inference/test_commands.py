@@ -229,10 +229,11 @@ def test_a_design_that_was_looked_at_first_is_run(tmp_path, monkeypatch):
             asked.append(len(inputs))
             yield from ((i, Outcome({"esv_ml": 90.0})) for i in range(len(inputs)))
 
+    (tmp_path / "scene.toml").write_text('[anatomy]\nbundle = "la"\n')
     monkeypatch.setattr("lacli.calibration.simulator.simulator", lambda *_: Simulator())
     call("design", "-n", 4, "--out", tmp_path / "d.csv")
     for _ in range(2):  # the second time all are known
-        result = document("design", "scene.toml", "-n", 4, "--run", "--out", tmp_path / "d.csv")
+        result = document("design", tmp_path / "scene.toml", "-n", 4, "--run", "--out", tmp_path / "d.csv")
         assert asked == [4] and result["failed"] == 0
         frame = pd.read_csv(tmp_path / "d.csv")
         assert (frame["status"] == "done").all() and (frame["esv_ml"] == 90).all()
