@@ -161,7 +161,7 @@ def statement(case: Case, results: Results) -> dict[str, Any] | None:
     if not _given(results):
         return {
             "given": False,
-            "why": "the engine in FreeFEM's own language has none; `lacli doctor` says what the compiled one needs",
+            "why": "only the compiled engine has them; `lacli doctor` says what it needs",
         }
     said: dict[str, Any] = {"given": any(_given(results).values())}
     for name, given in _given(results).items():

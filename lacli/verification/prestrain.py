@@ -8,7 +8,7 @@ from scipy.linalg import expm
 
 from lacli.base.errors import SimulationError
 from lacli.contracts.bundle import Bundle
-from lacli.mechanics import inputs
+from lacli.contracts.case import as_order
 from lacli.verification import meshes
 from lacli.verification.equilibria import SPHERE_C, SPHERE_RADII, clamp, on_planes
 from lacli.verification.forms import STEADIED, TISSUE, TOLERANCE, distorted_box, disturbed
@@ -38,7 +38,7 @@ from lacli.verification.runs import (
 def prestrain() -> list[Check]:
     """The prestrain problem's parts."""
     curved = distorted_box(True)
-    linear = inputs.as_order(distorted_box(False), 1)
+    linear = as_order(distorted_box(False), 1)
     return [*_tangents(curved, ""), *_tangents(linear, "linear_"), *_homogeneous(), _sphere(), *_released()]
 
 
