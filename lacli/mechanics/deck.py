@@ -5,6 +5,7 @@ Written, run and read are three verbs (``write`` and ``run`` here, ``read`` in `
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,6 +53,19 @@ def run(deck: Deck, timeout_s: float, on_progress: OnProgress | None = None) -> 
             on_progress(progress)
 
     return freefem.run(freefem.find(), deck.script, deck.folder, timeout_s, listen, includes=(libraries(),))
+
+
+def shell_script() -> str:
+    """A script that runs FreeFEM on the deck beside it, as ``run`` does, for a terminal or a batch system."""
+    found = freefem.find()
+    wanted = {
+        name: value
+        for name, value in found.environment(includes=(libraries(),)).items()
+        if name.startswith("FF_") or name.endswith("_NUM_THREADS") or name == "LC_ALL"
+    }
+    exports = "".join(f"export {name}={shlex.quote(value)}\n" for name, value in sorted(wanted.items()))
+    program = shlex.quote(str(found.binary))
+    return f'#!/bin/sh\nset -e\ncd "$(dirname "$0")"\n{exports}exec {program} -nw -ne -v 0 {SCRIPT}\n'
 
 
 def libraries() -> Path:

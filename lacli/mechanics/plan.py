@@ -18,11 +18,11 @@ from lacli.motion.annulus import scene_motion
 
 def prepare(scene: Scene) -> Case:
     """The scene with its bundle, motion and plan, read and checked. Raises AnatomyError, InputError."""
-    bundle = bundles.load(scene.anatomy.bundle)
-    motion = scene_motion(scene, bundle)
-    plan = make_plan(scene, bundle, motion)
+    whole = bundles.load(scene.anatomy.bundle)
+    motion = scene_motion(scene, whole)
     order = scene.numerics.order
-    return Case(scene, as_order(bundle, order), motion_as_order(motion, bundle, order), plan)
+    bundle = as_order(whole, order)
+    return Case(scene, bundle, motion_as_order(motion, whole, order), make_plan(scene, bundle, motion))
 
 
 def make_plan(scene: Scene, bundle: Bundle, motion: Motion | None) -> Plan:

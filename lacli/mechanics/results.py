@@ -11,13 +11,14 @@ import meshio
 import numpy as np
 import pandas as pd
 
+from lacli.anatomy.surface_features import Endocardium, cavity_volume_ml
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import SimulationError
 from lacli.base.files import write_text
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.case import Case
 from lacli.contracts.scene import MMHG_KPA
-from lacli.mechanics.features import cavity_volume_ml, cell_gradient, displacements_mm, regional_extras
+from lacli.mechanics.features import cell_gradient, regional_extras
 
 FIELDS = "fields"
 
@@ -88,10 +89,11 @@ def features(case: Case, results: Results) -> dict[str, Any]:
     """Features at end-systole and what is known of the way there, by name with unit."""
     bundle, states, numbers = case.bundle, results.states, results.numbers
     es = states["es"]
+    surface = Endocardium.of(bundle).features(es.x)
     found: dict[str, Any] = {
         "edv_ml": cavity_volume_ml(bundle, states["ed"].x),
-        "esv_ml": cavity_volume_ml(bundle, es.x),
-        **displacements_mm(bundle, bundle.points, es.x),
+        "esv_ml": surface.pop("volume_ml"),
+        **surface,
         "unloaded_volume_ml": _unloaded_volume(case, results),
     }
     if case.plan.unloading:
@@ -128,7 +130,8 @@ def _unloaded(case: Case, results: Results) -> FloatArray | None:
 
 
 def transients(case: Case, results: Results) -> pd.DataFrame:
-    """Pressure, volume and displacements from end-diastole, a row for each state in order of time."""
+    """Pressure, volume and the endocardium's features from end-diastole, a row for each state in order of time."""
+    endocardium = Endocardium.of(case.bundle)
     by_file = {phase.file: phase for phase in case.plan.stretches()}
     rows = []
     for name, state in results.states.items():
@@ -140,8 +143,7 @@ def transients(case: Case, results: Results) -> pd.DataFrame:
                 "time": phase.time_to if phase else 0.0,
                 "phase": phase.name if phase else "ed",
                 "pressure_mmhg": state.pressure / MMHG_KPA,
-                "volume_ml": cavity_volume_ml(case.bundle, state.x),
-                **displacements_mm(case.bundle, case.bundle.points, state.x),
+                **endocardium.features(state.x),
             }
         )
     return pd.DataFrame(rows)

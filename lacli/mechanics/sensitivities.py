@@ -13,13 +13,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from lacli.anatomy.surface_features import endocardial_regions
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import SimulationError, TableError
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.case import Case
 from lacli.contracts.labels import BODY_REGIONS, ENDO, PLANES, REGIONS
 from lacli.contracts.scene import KPA_PER_UM_KPA_PER_MM, MMHG_KPA
-from lacli.mechanics.features import endocardial_regions, regional_extras, triangle_shapes
+from lacli.geometry.quadrature import triangle_shapes
+from lacli.mechanics.features import regional_extras
 from lacli.mechanics.results import Results
 
 FILE = "sensitivities.csv"

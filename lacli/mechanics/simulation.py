@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import json
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lacli.base.files import write_json
+from lacli.base.errors import InputError, SimulationError, StorageError, UsageError
+from lacli.base.files import check_folder, write_json, write_text
 from lacli.contracts.case import Case
-from lacli.contracts.scene import Scene
+from lacli.contracts.identity import run_key
+from lacli.contracts.scene import Scene, dump_scene, load_scene
 from lacli.freefem import program as freefem
 from lacli.mechanics import deck, results, sensitivities
 from lacli.mechanics.accuracy import known_errors
 from lacli.mechanics.deck import Deck, OnProgress
 from lacli.mechanics.plan import prepare
-from lacli.mechanics.store import OpenRun, StoredRun, open_run
+from lacli.mechanics.store import OpenRun, StoredRun, check_products, open_run
 
+_WRITTEN = "deck.json"  # the key of a deck that is run by hand
 _PRODUCTS = ("scene.toml", deck.SCRIPT, "features.json", "transients.csv")
 
 
@@ -43,11 +48,14 @@ def run_scene(scene: Scene, root: Path, on_progress: OnProgress | None = None) -
             written = deck.write(case, run.folder)
             _keep(run, case, written, deck.run(written, scene.numerics.timeout_s, on_progress))
         assert run.stored is not None
-        return _result(run.stored)
+        return _result(run.stored, scene)
 
 
-def _result(stored: StoredRun) -> RunResult:
-    features = stored.features() if stored.status == "done" else {}
+def _result(stored: StoredRun, scene: Scene) -> RunResult:
+    features: dict[str, Any] = dict(stored.features()) if stored.status == "done" else {}
+    # looked up now, not kept with the run: they may have been measured since
+    if features and (errors := known_errors(scene)):
+        features["discretisation_error"] = errors
     return RunResult(stored.key, stored.folder, stored.status, stored.kind, stored.message, features, stored.manifest)
 
 
@@ -79,11 +87,75 @@ def collect(case: Case, folder: Path, **cost: float) -> tuple[dict[str, Any], li
     """
     found = results.read(case, folder)
     features = results.features(case, found) | cost
-    if errors := known_errors(case.scene):
-        features["discretisation_error"] = errors
     products = [*_PRODUCTS, *sensitivities.write(case, found, folder)]
     if said := sensitivities.statement(case, found):
         features["sensitivities"] = said
     write_json(folder / "features.json", features)
     results.transients(case, found).to_csv(folder / "transients.csv", index=False)
     return features, [*products, *results.write_fields(case, found, folder)]
+
+
+def write_by_hand(scene: Scene, folder: Path) -> Path:
+    """Write the deck of a scene, all that it reads, and a shell script that runs FreeFEM on it; gives that script.
+
+    ``read_by_hand`` reads what the run leaves. The folder must be absent or empty. Raises StorageError, AnatomyError,
+    SolverMissingError.
+    """
+    check_folder(folder)
+    if folder.is_dir() and any(folder.iterdir()):
+        raise StorageError(f"{folder}: is not empty; choose a new folder for the deck.")
+    case = prepare(scene)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_text(folder / "scene.toml", dump_scene(scene))
+    write_json(folder / _WRITTEN, {"key": run_key(scene)})
+    deck.write(case, folder)
+    script = folder / "run.sh"
+    write_text(script, deck.shell_script())
+    script.chmod(script.stat().st_mode | 0o111)
+    return script
+
+
+def read_by_hand(folder: Path) -> dict[str, Any]:
+    """Features of a deck of ``write_by_hand`` that has run; ``features.json``, transients and fields are written beside it.
+
+    Raises InputError where the folder holds no such deck, UsageError where bundle, solver or version are no longer those that it
+    was written for, SimulationError where FreeFEM's results are missing or incomplete.
+    """
+    scene = _scene_of(folder, _WRITTEN)
+    features, _ = collect(prepare(scene), folder)
+    return features
+
+
+def rerun(folder: Path, on_progress: OnProgress | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Run a stored run once more, its deck and inputs written anew from its scene: features as stored, and as found now.
+
+    Nothing is kept of the second run. Raises as ``read_by_hand`` does, and SimulationError where the second run fails.
+    """
+    scene = _scene_of(folder, "manifest.json")
+    manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+    stored = StoredRun(manifest["key"], folder, manifest)
+    check_products(stored, manifest.get("products", {}))
+    before = stored.features()
+    case = prepare(scene)
+    with tempfile.TemporaryDirectory(prefix=".rerun-", dir=folder.parent) as name:
+        place = Path(name)
+        outcome = deck.run(deck.write(case, place), scene.numerics.timeout_s, on_progress)
+        if outcome.kind is not None and not results.stand(place):
+            raise SimulationError(outcome.kind, f"{folder}: the second run failed ({outcome.kind}): {outcome.message}")
+        after, _ = collect(case, place, cpu_s=outcome.cpu_s, peak_memory_mb=outcome.peak_memory_mb)
+    return before, after
+
+
+def _scene_of(folder: Path, record: str) -> Scene:
+    """The scene of a run's folder, which ``record`` gives a key, checked to be the same content still."""
+    try:
+        key = json.loads((folder / record).read_text(encoding="utf-8"))["key"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{folder}: no run of lacli, {record} is missing or damaged ({error}).") from error
+    scene = load_scene(folder / "scene.toml")
+    if run_key(scene) != key:
+        raise UsageError(
+            f"{folder}: scene.toml, the bundle {scene.anatomy.bundle} or lacli's solver are no longer what this run was made of "
+            f"(key {key}, now {run_key(scene)}). Simulate the scene anew."
+        )
+    return scene
