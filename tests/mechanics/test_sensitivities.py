@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from shapes import cut_ball
 
+from lacli.anatomy.surface_features import Endocardium
 from lacli.anatomy.wall.shell import mesh_shell
 from lacli.base.errors import TableError
 from lacli.contracts import bundle as bundles
@@ -17,9 +18,8 @@ from lacli.contracts.labels import EPI, REGIONS, RINGS
 from lacli.contracts.scene import MMHG_KPA, Scene, build_scene, with_parameters
 from lacli.freefem.program import FreeFem
 from lacli.mechanics import deck, inputs, plan, sensitivities
-from lacli.mechanics.features import cavity_volume_ml, displacements_mm
 from lacli.mechanics.results import Results
-from lacli.mechanics.sensitivities import VEIN_SPRING, displacement_rates, load_sensitivities, volume_rates
+from lacli.mechanics.sensitivities import VEIN_SPRING, load_sensitivities
 from lacli.mechanics.simulation import RunResult, run_scene
 
 POINT = {
@@ -174,23 +174,20 @@ def test_an_unstable_state_has_none(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_rates_of_volume_and_displacements(folder: Path, order: int) -> None:
+def test_rates_of_the_endocardium_s_features(folder: Path, order: int) -> None:
     bundle = plan.prepare(scene(folder, f"numerics.order={order}")).bundle
     random = np.random.default_rng(2)
+    bundle = replace(bundle, uac=random.standard_normal((len(bundle.points), 2)))
     x = bundle.points + random.standard_normal(bundle.points.shape)
-    rates = random.standard_normal((3, *x.shape))
-    volume = volume_rates(bundle, x, rates)
-    moves = displacement_rates(bundle, bundle.points, x, rates)
+    moves = random.standard_normal((3, *x.shape))
+    endocardium = Endocardium.of(bundle)
+    rates = endocardium.rates(x, moves)
+    assert rates.keys() == endocardium.features(x).keys()
     h = 1e-5
     for i in range(3):
-        ahead, behind = x + h * rates[i], x - h * rates[i]
-        assert volume[i] == pytest.approx(
-            (cavity_volume_ml(bundle, ahead) - cavity_volume_ml(bundle, behind)) / (2 * h), rel=1e-7
-        )
-        one, other = (displacements_mm(bundle, bundle.points, at) for at in (ahead, behind))
-        assert moves.keys() == one.keys()
-        for name in moves:
-            assert moves[name][i] == pytest.approx((one[name] - other[name]) / (2 * h), rel=1e-5, abs=1e-7)
+        ahead, behind = (endocardium.features(x + sign * h * moves[i]) for sign in (1, -1))
+        for name in rates:
+            assert rates[name][i] == pytest.approx((ahead[name] - behind[name]) / (2 * h), rel=1e-6, abs=1e-7), name
 
 
 def test_slope_of_the_pericardium_s_weight() -> None:
