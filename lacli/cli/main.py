@@ -8,32 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lacli.base import signals
+from lacli.cli.commands import commands
 
 if TYPE_CHECKING:
     import typer
-
-# command -> one line of help; the function ``command`` in lacli/cli/<name>.py does the work
-COMMANDS: dict[str, str] = {
-    "doctor": "Find FreeFEM, its plugins, BLAS and gmsh; say what is missing and what installs it.",
-    "synthesize": "Write a parametric left atrium from a seed (bundle, label map, motion, targets).",
-    "mesh": "Turn a label map or a surface into an anatomy bundle.",
-    "fat": "Segment epicardial fat in a CT volume; volume per region and its mesh.",
-    "simulate": "Run a scene: features, transients, fields, pictures.",
-    "verify": "Run the verification problems: computed, reference, error.",
-    "tradeoff": "Measure speed against accuracy on your scene and machine.",
-    "design": "Choose the parameter sets of the next runs, and run them.",
-    "emulate": "Fit and check one Gaussian-process emulator per output.",
-    "sensitivity": "Rank the inputs by Sobol' indices through the emulators.",
-    "match": "History matching: rule out parameters, sample what is left.",
-    "posterior": "Sample the posterior by MCMC through the emulators.",
-    "calibrate": "All inference steps for one patient, resumable.",
-}
-
-
-def _exists(name: str) -> bool:
-    import importlib.util
-
-    return importlib.util.find_spec(f"lacli.cli.{name}") is not None
 
 
 def build(called: set[str]) -> typer.Typer:
@@ -43,6 +21,7 @@ def build(called: set[str]) -> typer.Typer:
     import typer
 
     from lacli import __version__
+    from lacli.cli.plain import application
 
     def tell_version(value: bool) -> None:
         if value:
@@ -54,10 +33,8 @@ def build(called: set[str]) -> typer.Typer:
     def root(version: bool = version_option) -> None:
         """Find how stiff each region of a patient's left atrium is."""
 
-    app = typer.Typer(no_args_is_help=True, add_completion=True, rich_markup_mode="rich", callback=root)
-    for name, text in COMMANDS.items():
-        if not _exists(name):
-            continue
+    app = application(no_args_is_help=True, add_completion=True, callback=root)
+    for name, text in commands().items():
         if name in called:
             app.command(name=name, short_help=text)(importlib.import_module(f"lacli.cli.{name}").command)
         else:
@@ -88,7 +65,8 @@ def _code_of_the_command() -> int:
 
     # completion asks for options of any command, so it sees them all
     completing = any(key.startswith("_") and key.endswith("_COMPLETE") for key in os.environ)
-    called = set(COMMANDS) if completing else set(sys.argv[1:]) & set(COMMANDS)
+    known = set(commands())
+    called = known if completing else known & set(sys.argv[1:])
     try:
         try:
             build(called)()
