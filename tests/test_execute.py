@@ -196,16 +196,6 @@ def test_little_memory_means_one_after_the_other(monkeypatch: pytest.MonkeyPatch
     assert pool.may_start([idle], 4, 10.0, 1, {1})
 
 
-def test_cluster_has_the_same_interface(scene_of: SceneOf, tmp_path: Path) -> None:
-    distributed = pytest.importorskip("distributed", reason="needs the extra 'cluster'")
-    with (
-        distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as here,
-        distributed.Client(here),
-    ):
-        results = dict(run_scenes(scenes(scene_of, 0.1, 4), tmp_path / "runs", scheduler=here.scheduler_address, task=stored))
-    assert {i: r.status for i, r in results.items()} == {0: "done", 1: "failed"}
-
-
 def test_cluster_without_dask_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(UsageError, match=r"pip install 'lacli\[cluster\]'"):

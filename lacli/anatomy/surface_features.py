@@ -12,7 +12,7 @@ import numpy as np
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.labels import ENDO, REGIONS
-from lacli.geometry.quadrature import area_vectors, at_quadrature, enclosed_volume_ml, tangents
+from lacli.geometry.quadrature import area_vectors, at_quadrature, enclosed_volume_ml, tangents, triangle_shapes
 
 _FLAT = 1e-12
 
@@ -130,6 +130,45 @@ class Endocardium:
                 result[key.format(region)] = float((weight * field[here]).sum())
             result[f"area_strain_{region}"] = float(deformed[here].sum() / self.area[here].sum() - 1.0)
         return result
+
+    def rates(self, points: FloatArray, moves: FloatArray) -> dict[str, FloatArray]:
+        """Derivatives (m,) of each of ``features`` where the state's points go along ``moves`` (m, n, 3), by the unit of moves'
+        own parameter. A point that is where it was at ED has no distance that could be differentiated, and counts 0."""
+        shapes = triangle_shapes(self.faces.shape[1])
+        moved = at_quadrature(self.faces, points - self.ed)
+        d1, d2 = tangents(self.faces, points)
+        vector = np.cross(d1, d2)
+        normal = _unit(vector)
+        fields = {"d_{}_mm": _unit(moved), "n_{}_mm": self.normal}
+        if self.alpha is not None and self.beta is not None:
+            fields |= {"a_{}_mm": self.alpha, "b_{}_mm": self.beta}
+        # (t, k, 3): of a triangle's part in the area's sum along its nodes
+        parts = {key: np.einsum("tq,qk,tqi->tki", self.area, shapes.value, field) for key, field in fields.items()}
+        if self.along is not None:
+            fibre = self.along[..., :1] * d1 + self.along[..., 1:] * d2
+            along = [self.area * self.along[..., i] for i in (0, 1)]
+            parts["fibre_strain_{}"] = sum(
+                np.einsum("tq,qk,tqi->tki", share, slope, fibre)
+                for share, slope in zip(along, (shapes.d1, shapes.d2), strict=True)
+            )
+        parts["area_strain_{}"] = np.einsum("q,qk,tqi->tki", shapes.weight, shapes.d1, np.cross(d2, normal))
+        parts["area_strain_{}"] += np.einsum("q,qk,tqi->tki", shapes.weight, shapes.d2, np.cross(normal, d1))
+        whole = {"d_global_mm": _nodal(parts["d_{}_mm"], self.faces, len(points)) / self.area.sum()}
+        swept = np.einsum("qk,tqi->tki", triangle_shapes(self.closed.shape[1]).value, area_vectors(self.closed, points))
+        whole["volume_ml"] = -_nodal(swept, self.closed, len(points)) / 1000.0
+        for region, number in REGIONS.items():
+            here = self.region == number
+            if here.any():
+                area = self.area[here].sum()
+                whole |= {k.format(region): _nodal(part[here], self.faces[here], len(points)) / area for k, part in parts.items()}
+        seen = np.unique(np.concatenate([self.faces.ravel(), self.closed.ravel()]))
+        gradients = np.array([gradient[seen].ravel() for gradient in whole.values()])
+        return dict(zip(whole, gradients @ moves[:, seen].reshape(len(moves), -1).T, strict=True))
+
+
+def _nodal(parts: FloatArray, faces: IntArray, n: int) -> FloatArray:
+    """(n, 3) sums over the triangles of what each gives its nodes (t, k, 3)."""
+    return np.stack([np.bincount(faces.ravel(), parts[..., i].ravel(), n) for i in range(3)], axis=1)
 
 
 def surface_features(bundle: Bundle, ed: FloatArray, points: FloatArray) -> dict[str, float]:

@@ -30,6 +30,21 @@ def command(
         bool, typer.Option("--image", help="Also labels.nrrd (LA 2, LV 3, wall 4) and a noisy ct.nrrd with fat.")
     ] = False,
     voxel_mm: Annotated[float, typer.Option(help="Voxel size of the images, mm.")] = 0.6,
+    gated: Annotated[
+        bool,
+        typer.Option("--gated", help="A synthetic patient: bundle/, a gated CT in frames/ of a simulated cycle, its truth/."),
+    ] = False,
+    noise_hu: Annotated[float, typer.Option(help="With --gated: standard deviation of the noise, HU.")] = 25.0,
+    blur: Annotated[float, typer.Option(help="With --gated: blur of the image, standard deviation in voxels.")] = 0.6,
+    heart_rate: Annotated[float, typer.Option(help="With --gated: beats per minute (the frames' times in ms).")] = 65.0,
+    motion_blur: Annotated[
+        float, typer.Option(help="With --gated: exposure of one frame, as a fraction of the RR interval.")
+    ] = 0.0,
+    contrast_drift_hu: Annotated[float, typer.Option(help="With --gated: fall of the blood's HU over the cycle.")] = 0.0,
+    parameter: Annotated[
+        list[str] | None,
+        typer.Option("--parameter", metavar="NAME=VALUE", help="With --gated: a known parameter (alpha_roof=2, edp_mmhg=7)."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
 ) -> None:
     """Write a parametric left atrium from a seed: bundle (wall, boundary, regions, fibres), annulus motion, images if asked.
@@ -39,6 +54,8 @@ def command(
     Example: lacli synthesize atrium --seed 3 --volume-ml 80
 
     Example: lacli synthesize cohort --cohort 10 --cell-size-mm 4
+
+    Example: lacli synthesize patient --gated --frames 10 --voxel-mm 1.0
     """
     from lacli.base.files import check_folder
 
@@ -54,6 +71,12 @@ def command(
         "frames": frames,
         "descent_mm": descent_mm,
     }
+    if gated:
+        from lacli.synthetic.gated import Acquisition
+
+        acquisition = Acquisition(frames, (voxel_mm,) * 3, noise_hu, blur, motion_blur, contrast_drift_hu)
+        _gated(seed, out, cohort, wanted, acquisition, heart_rate, parameter or [], as_json)
+        return
     places = [(seed + i, out / f"la{seed + i:02d}" if cohort else out) for i in range(max(cohort, 1))]
     check_folder(out)
     rows = []
@@ -85,6 +108,63 @@ def command(
             for r in rows
         ],
     )
+
+
+def _gated(
+    seed: int, out: Path, cohort: int, wanted: dict[str, Any], acquisition: Any, rate: float, given: list[str], as_json: bool
+) -> None:
+    """Write synthetic patients; those that are there already, made from the same, are kept."""
+    from dataclasses import asdict
+
+    from lacli.base.files import check_folder
+    from lacli.synthetic import gated_case
+    from lacli.synthetic.cycle import draw_parameters
+
+    wanted = {name: value for name, value in wanted.items() if name != "frames"}
+    acquisition.check()
+    if not 20.0 <= rate <= 250.0:
+        raise UsageError(f"--heart-rate is {rate:g}; it must be 20 to 250 beats per minute.")
+    check_folder(out)
+    rows = []
+    with progress() as bar:
+        task = bar.add_task("synthesizing", total=1)
+        for number in range(seed, seed + max(cohort, 1)):
+            folder = out / f"la{number:02d}" if cohort else out
+            parameters = {**draw_parameters(number), **_parameters(given)}
+            made_from = {"seed": number, "atrium": wanted, "acquisition": asdict(acquisition), "parameters": parameters}
+            info = gated_case.finished(folder, made_from)
+            if info is None:
+                info = gated_case.write_case(
+                    folder, number, wanted, parameters, acquisition, rate,
+                    lambda what, done, total, name=folder.name: bar.update(
+                        task, description=f"{name}: {what}", completed=done, total=total
+                    ),
+                )  # fmt: skip
+            rows.append({"folder": str(folder), **info})
+    if as_json:
+        print_json(rows)
+        return
+    print_table(
+        f"synthetic patients in {out}",
+        ["folder", "EDV mL", "ESV mL", "ES time", "d_global mm at ES"],
+        [[r["folder"], r["edv_ml"], r["esv_ml"], r["es_time"], r["d_global_mm"]] for r in rows],
+    )
+
+
+def _parameters(given: list[str]) -> dict[str, float]:
+    from lacli.contracts.scene import parameter_box
+
+    result = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        parameter_box([name])
+        try:
+            result[name] = float(value)
+        except ValueError:
+            raise UsageError(f"--parameter {text}: write it as name=number, for example alpha_roof=2.") from None
+        if not equals or not result[name] >= 0:
+            raise UsageError(f"--parameter {text}: write it as name=number, not negative.")
+    return result
 
 
 def _one(seed: int, folder: Path, wanted: dict[str, Any], voxel_mm: float | None) -> dict[str, Any]:

@@ -81,7 +81,8 @@ class RunLog:
             raise TableError(f"{self.path}: no column {', '.join(missing)}; the columns are {', '.join(frame.columns)}.")
         x = input_values(frame[list(self.inputs)], str(self.path))
         for values, cells in zip(x.tolist(), frame.to_dict("records"), strict=True):
-            row = self.rows[tuple(values)] = {STATUS: "done"} | {str(k): v for k, v in cells.items()}
+            row = self.rows[tuple(values)] = {str(k): v for k, v in cells.items()}
+            row.setdefault(STATUS, "done")
             if Outcome({}, str(row[STATUS]), str(row.get(KIND))).lost:
                 self.attempts[tuple(values)] = 0 if retry else _count(row.get(ATTEMPTS))
 

@@ -13,14 +13,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from lacli.anatomy.surface_features import endocardial_regions
+from lacli.anatomy.surface_features import Endocardium
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import SimulationError, TableError
-from lacli.contracts.bundle import Bundle
 from lacli.contracts.case import Case
-from lacli.contracts.labels import BODY_REGIONS, ENDO, PLANES, REGIONS
+from lacli.contracts.features import at_time
+from lacli.contracts.labels import BODY_REGIONS
 from lacli.contracts.scene import KPA_PER_UM_KPA_PER_MM, MMHG_KPA
-from lacli.geometry.quadrature import triangle_shapes
 from lacli.mechanics.features import regional_extras
 from lacli.mechanics.results import Results
 
@@ -64,36 +63,6 @@ def read_rates(case: Case, name: str, folder: Path) -> FloatArray:
     return np.moveaxis(rates.reshape(len(INPUTS), 3, n), 1, 2) * units[:, None, None]
 
 
-def volume_rates(bundle: Bundle, points: FloatArray, rates: FloatArray) -> FloatArray:
-    """(inputs,) derivatives of ``cavity_volume_ml``, mL: what the moving surface sweeps."""
-    triangles = bundle.triangles[(bundle.tags == ENDO) | np.isin(bundle.tags, list(PLANES.values()))]
-    shapes = triangle_shapes(triangles.shape[1])
-    nodes = points[triangles]
-    normal = np.cross(np.einsum("qk,tki->tqi", shapes.d1, nodes), np.einsum("qk,tki->tqi", shapes.d2, nodes))
-    gradient = np.einsum("q,qk,tqi->tki", shapes.weight, shapes.value, normal)
-    return -np.einsum("tki,ptki->p", gradient, rates[:, triangles]) / 1000.0
-
-
-def displacement_rates(bundle: Bundle, image: FloatArray, points: FloatArray, rates: FloatArray) -> dict[str, FloatArray]:
-    """(inputs,) derivatives of each of ``displacements_mm``, mm; where a point has not moved, those of its distance are 0."""
-    triangles, region = endocardial_regions(bundle)
-    shapes = triangle_shapes(triangles.shape[1])
-    nodes = image[triangles]
-    normal = np.cross(np.einsum("qk,tki->tqi", shapes.d1, nodes), np.einsum("qk,tki->tqi", shapes.d2, nodes))
-    weight = np.linalg.norm(normal, axis=2) * shapes.weight
-    moved = np.einsum("qk,tki->tqi", shapes.value, points[triangles] - nodes)
-    length = np.linalg.norm(moved, axis=2)
-    along = moved / np.where(length > 0, length, 1.0)[..., None]
-    gradient = np.einsum("tq,qk,tqi->tki", weight, shapes.value, along)
-    swept = np.einsum("tki,ptki->pt", gradient, rates[:, triangles])
-    result = {"d_global_mm": swept.sum(axis=1) / weight.sum()}
-    for name, number in REGIONS.items():
-        here = region == number
-        if here.any():
-            result[f"d_{name}_mm"] = swept[:, here].sum(axis=1) / weight[here].sum()
-    return result
-
-
 def feature_rates(case: Case, results: Results, folder: Path) -> pd.DataFrame | None:
     """Derivatives of all features by all inputs modelled; None where none are asked for or there are no unbroken ones.
 
@@ -101,22 +70,22 @@ def feature_rates(case: Case, results: Results, folder: Path) -> pd.DataFrame | 
     no rows. Raises SimulationError.
     """
     rows: dict[str, FloatArray] = {}
+    endocardium = Endocardium.of(case.bundle)
     for name, given in _given(results).items():
         if not given:
             continue
         rates = read_rates(case, name, folder)
-        bundle, x = case.bundle, results.states[name].x
-        volume = volume_rates(bundle, x, rates)
-        moved = displacement_rates(bundle, bundle.points, x, rates)
+        found = endocardium.rates(results.states[name].x, rates)
         if name == "es":
             ed = read_rates(case, "ed", folder) if _given(results).get("ed") else np.zeros_like(rates)
-            rows["edv_ml"] = volume_rates(bundle, results.states["ed"].x, ed)
-            rows |= {"esv_ml": volume, **moved}
+            rows["edv_ml"] = endocardium.rates(results.states["ed"].x, ed)["volume_ml"]
+            rows["esv_ml"] = found.pop("volume_ml")
+            rows |= found
             if case.scene.outputs.strain:
                 rows |= _extras(case, results, rates, ed)
         elif name != "ed":
             time = next(phase.time_to for phase in case.plan.stretches() if phase.file == name)
-            rows |= {f"{key}@{round(time, 4):g}": value for key, value in {"volume_ml": volume, **moved}.items()}
+            rows |= {at_time(key, time): value for key, value in found.items()}
     if not rows:
         return None
     return pd.DataFrame(rows, index=list(INPUTS)).T[modelled(case)] + 0.0  # no -0.0
@@ -161,10 +130,7 @@ def statement(case: Case, results: Results) -> dict[str, Any] | None:
     if not case.plan.sensitivities:
         return {"given": False, "why": "backward displacement has none; set numerics.unloading to prestrain"}
     if not _given(results):
-        return {
-            "given": False,
-            "why": "the engine in FreeFEM's own language has none; `lacli doctor` says what the compiled one needs",
-        }
+        return {"given": False, "why": "only the compiled engine has them; `lacli doctor` says what it needs"}
     said: dict[str, Any] = {"given": any(_given(results).values())}
     for name, given in _given(results).items():
         _, modes, wrong = (int(v) for v in results.numbers[f"sensitivities_{name}"])

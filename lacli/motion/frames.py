@@ -18,7 +18,7 @@ from lacli.base.errors import InputError, UsageError
 from lacli.motion.field import to_sitk
 
 MARGIN_MM = 25.0
-WORK_MM = 1.0
+WORK_MM = 0.9
 _LABELS_AT_MOST = 64
 _INSIDE_MM, _OUTSIDE_MM = 2.5, 3.5
 _SAME_MM = 1e-3

@@ -11,6 +11,7 @@ from scipy import ndimage
 
 from lacli.anatomy.inputs.image import Image
 from lacli.base.arrays import FloatArray
+from lacli.base.errors import UsageError
 from lacli.synthetic.atrium import sized
 from lacli.synthetic.cycle import SpaceField, SpaceMotion
 from lacli.synthetic.image import LA, LV, WALL, Grid, distance_fields, ventricle
@@ -32,6 +33,20 @@ class Acquisition:
     blur: float = 0.6
     motion_blur: float = 0.0
     contrast_drift_hu: float = 0.0
+
+    def check(self) -> None:
+        """UsageError where a number is out of range."""
+        ranges = {
+            "frames": (self.frames, 4, 60),
+            "voxel_mm": (min(self.voxel_mm), 0.2, 3.0),
+            "noise_hu": (self.noise_hu, 0.0, 500.0),
+            "blur": (self.blur, 0.0, 5.0),
+            "motion_blur": (self.motion_blur, 0.0, 0.3),
+            "contrast_drift_hu": (self.contrast_drift_hu, -250.0, 250.0),
+        }
+        for name, (value, low, high) in ranges.items():
+            if not low <= value <= high:
+                raise UsageError(f"--{name.replace('_', '-')} is {value:g}; it must be {low:g} to {high:g}.")
 
     @property
     def times(self) -> FloatArray:

@@ -10,6 +10,7 @@ from lacli.verification.forms import patch, pressure, spring
 from lacli.verification.laws import law
 from lacli.verification.prestrain import prestrain
 from lacli.verification.runs import Check
+from lacli.verification.sensitivities import sensitivities
 
 __all__ = ["PROBLEMS", "Check", "choose", "verify"]
 
@@ -24,6 +25,7 @@ PROBLEMS: dict[str, Callable[[], list[Check]]] = {
     "ellipsoid": ellipsoid,
     "unload": unload,
     "prestrain": prestrain,
+    "sensitivities": sensitivities,
 }
 
 

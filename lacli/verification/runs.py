@@ -178,15 +178,41 @@ def vertices(bundle: Bundle) -> IntArray:
     return np.unique(bundle.tets[:, :4])
 
 
+# kind, which triangles (k,), their vertices' weights (kept, 3) or None for ones
+FaceSet = tuple[int, NDArray[np.bool_], FloatArray | None]
+
+
+@dataclass(frozen=True)
+class Slopes:
+    """A question for the residual's derivatives along the engine's inputs: derivatives along the pericardium's threshold of its
+    vertices' weights (kept, 3); of the pressure (kPa) along EDP and ESP; of the prestrain's field along each input (inputs, n,
+    3), or None."""
+
+    weights: FloatArray
+    shares: tuple[float, float]
+    rates: FloatArray | None = None
+
+
 def ask(
-    bundle: Bundle,
-    materials: FloatArray,
-    forms: list[Form],
-    faces: Sequence[tuple[int, NDArray[np.bool_], FloatArray | None]],
-    points: int = 14,
+    bundle: Bundle, materials: FloatArray, forms: list[Form], faces: Sequence[FaceSet], points: int = 14
 ) -> tuple[list[Answer], float]:
-    """Answers to ``forms`` in one run, and its CPU seconds. ``faces``: kind, which triangles (k,), their vertices'
-    weights (kept, 3) or None for ones."""
+    """Answers to ``forms`` in one run, and its CPU seconds."""
+    answers, _, cpu_s = _ask(bundle, materials, forms, faces, points, None)
+    return answers, cpu_s
+
+
+def ask_slopes(
+    bundle: Bundle, materials: FloatArray, forms: list[Form], faces: Sequence[FaceSet], slopes: Slopes, points: int = 14
+) -> tuple[FloatArray, float]:
+    """(inputs, 3 n + nv) derivatives of the residual (x | y | z of all nodes | volume equations) at the last of ``forms``, and
+    the run's CPU seconds."""
+    _, table, cpu_s = _ask(bundle, materials, forms, faces, points, slopes)
+    return table, cpu_s
+
+
+def _ask(
+    bundle: Bundle, materials: FloatArray, forms: list[Form], faces: Sequence[FaceSet], points: int, slopes: Slopes | None
+) -> tuple[list[Answer], FloatArray, float]:
     n, nv = len(bundle.points), len(vertices(bundle))
     with tempfile.TemporaryDirectory(prefix="lacli-verify-") as name:
         folder = Path(name)
@@ -206,15 +232,21 @@ def ask(
             np.array([f.reference.T for f in forms]),
             np.array(directions),
         )
-        outcome = _run("verification_forms.edp.j2", folder, order=bundle.order, points=points, faces=files)
+        if slopes is not None:
+            write_arrays(folder / "pericardium_slope.txt", slopes.weights)
+            rates = np.zeros(0) if slopes.rates is None else [np.concatenate([v.T.ravel(), none]) for v in slopes.rates]
+            write_arrays(folder / "slopes.txt", np.array(slopes.shares), np.array(rates))
+        choices = {"order": bundle.order, "points": points, "faces": files, "slopes": slopes is not None}
+        outcome = _run("verification_forms.edp.j2", folder, **choices)
         table = np.loadtxt(folder / "forms_out.txt").reshape(len(forms), 2 + 2 * (3 * n + nv))
+        derivatives = np.loadtxt(folder / "slopes_out.txt") if slopes is not None else np.zeros((0, 3 * n + nv))
     size = 3 * n + nv
     answers = []
     for row in table:
         r, k = row[2 : 2 + size], row[2 + size :]
         forces = r[: 3 * n].reshape(3, n).T, r[3 * n :], k[: 3 * n].reshape(3, n).T, k[3 * n :]
         answers.append(Answer(float(row[0]), float(row[1]), *forces))
-    return answers, outcome.cpu_s
+    return answers, derivatives, outcome.cpu_s
 
 
 def respond(materials: FloatArray, F: FloatArray, p: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float]:

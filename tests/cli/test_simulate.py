@@ -142,3 +142,29 @@ def test_live_line() -> None:
         "unload  load 25 %  Newton 3  residual 1.2e-04  min J 0.80  12 s  about 30 s left in this phase"
     )
     assert describe(Progress(phase="mesh"), 1, 1) == "mesh  1 s"
+
+
+def test_pictures_are_those_of_the_results_they_stand_beside(
+    scene_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Drawn once for a run; again where results or pictures are no longer those of the drawing."""
+    drawn: list[Path] = []
+
+    def draw_apart(folder: Path) -> tuple[list[Path], str]:
+        drawn.append(folder)
+        for name in ("transients.png", "shapes.png"):
+            (folder / name).write_bytes(b"picture")
+        return [folder / "transients.png", folder / "shapes.png"], ""
+
+    monkeypatch.setattr("lacli.report.simulation_figures.draw_apart", draw_apart)
+    for times in (1, 1):
+        assert len(json.loads(lacli(scene_file, "--out", tmp_path / "runs", "--json").stdout)["pictures"]) == 2
+        assert len(drawn) == times
+    (drawn[0] / "shapes.png").write_bytes(b"another run's")
+    lacli(scene_file, "--out", tmp_path / "runs")
+    assert len(drawn) == 2 and (drawn[0] / "shapes.png").read_bytes() == b"picture"
+    features = drawn[0] / "features.json"
+    features.write_text(features.read_text().replace("80.25", "99.25"))
+    again = json.loads(lacli(scene_file, "--out", tmp_path / "runs", "--json").stdout)
+    assert again["features"]["edv_ml"] == 80.25 and not again["repeated"], "made again"
+    assert len(drawn) == 3

@@ -1,6 +1,7 @@
 """The commands on plain tables of another simulator."""
 
 import json
+import shutil
 import warnings
 
 import numpy as np
@@ -274,3 +275,36 @@ def test_targets_outside_all_runs_are_told(emulated):
     (folder / "far.toml").write_text("[targets.v_ml]\nmean = 900\nsd = 1\n")
     with pytest.raises(LacliError, match=r"nothing is left: .* v_ml is .* where the target is 900"):
         call("match", "--emulators", folder / "e.npz", "--targets", folder / "far.toml", "--out", folder / "far")
+
+
+def test_a_chain_of_other_targets_is_not_gone_on_with(emulated, tmp_path):
+    folder, _ = emulated
+    options = ("--emulators", folder / "e.npz", "--out", tmp_path / "p", "--ess", 100, "--no-figures")
+    first = document("posterior", "--targets", folder / "t.toml", *options)
+    chain = (tmp_path / "p" / "chain.npz").read_bytes()
+    (tmp_path / "t.toml").write_text((folder / "t.toml").read_text().replace("sd = 0.6", "sd = 0.5"))
+    with pytest.raises(UsageError, match=r"holds a chain .*targets\.sd\.v_ml was 0\.6, is 0\.5.*--fresh"):
+        call("posterior", "--targets", tmp_path / "t.toml", *options)
+    other = document("posterior", "--targets", tmp_path / "t.toml", *options, "--fresh")
+    assert other["inputs"] != first["inputs"] and (tmp_path / "p" / "fresh_1" / "chain.npz").is_file()
+    assert (tmp_path / "p" / "chain.npz").read_bytes() == chain
+
+
+def test_a_folder_of_results_shows_one_call(emulated, tmp_path):
+    """Figures and proposals of an earlier call do not stay beside the results of another."""
+    folder, _ = emulated
+    out = tmp_path / "m"
+    options = ("--emulators", folder / "e.npz", "--targets", folder / "t.toml", "--out", out, "-n", 500)
+    call("match", *options, "--next", 5)
+    assert {"next.csv", "region.png", "outputs.png", "nroy.csv", "identity.json"} == {path.name for path in out.iterdir()}
+    call("match", *options, "--next", 0, "--threshold", 2.5, "--no-figures")
+    assert {"nroy.csv", "identity.json"} == {path.name for path in out.iterdir()}
+    assert json.loads((out / "identity.json").read_text())["content"]["region.waves.1.threshold"] == 2.5
+    call("sensitivity", "--emulators", folder / "e.npz", "--out", tmp_path / "s", "-n", 16, "--draws", 0)
+    call("sensitivity", "--emulators", folder / "e.npz", "--out", tmp_path / "s", "-n", 32, "--draws", 0, "--no-figures")
+    assert {"indices.csv", "second_order.csv", "identity.json"} == {path.name for path in (tmp_path / "s").iterdir()}
+    shutil.copy(folder / "e.npz", tmp_path / "e.npz")
+    (tmp_path / "e.png").write_bytes(b"of other emulators")
+    tables = ("--inputs", folder / "x.csv", "--outputs", folder / "y.csv", "--output", "v_ml")
+    call("emulate", *tables, "--out", tmp_path / "e.npz", "--starts", 1, "--no-figures")
+    assert not (tmp_path / "e.png").exists()

@@ -16,6 +16,14 @@ def scene(folder: Path, order: int) -> Scene:
     return build_scene({"anatomy": {"bundle": "b"}}, [f"numerics.order={order}"], folder=folder, where="test")
 
 
+def bundle(folder: Path) -> Path:
+    """A stand-in: enough for its digest."""
+    (folder / "b").mkdir()
+    (folder / "b" / "wall.vtu").write_bytes(b"wall")
+    (folder / "b" / "boundary.vtp").write_bytes(b"boundary")
+    return folder / "b"
+
+
 def variant(folder: Path, mesh: str, order: int, roof: float, status: str = "done") -> Variant:
     features = {"esv_ml": 100 + roof, "d_roof_mm": roof} if status == "done" else {}
     chosen = scene(folder, order)
@@ -23,13 +31,24 @@ def variant(folder: Path, mesh: str, order: int, roof: float, status: str = "don
 
 
 def test_errors_are_kept_in_the_bundle_and_travel_with_the_result(tmp_path: Path) -> None:
-    (tmp_path / "b").mkdir()
+    bundle(tmp_path)
     variants = [variant(tmp_path, "own", 1, 3.5), variant(tmp_path, "own", 2, 3.1), variant(tmp_path, "finer", 2, 3.0)]
     best = reference(variants)
     assert best.mesh == "finer"
     keep(variants, best)
     assert accuracy.known_errors(scene(tmp_path, 1)) == pytest.approx({"esv_ml": 0.5, "d_roof_mm": 0.5})
     assert accuracy.known_errors(scene(tmp_path, 2)) == pytest.approx({"esv_ml": 0.1, "d_roof_mm": 0.1})
+    (tmp_path / "b" / "wall.vtu").write_bytes(b"another wall")
+    assert accuracy.known_errors(scene(tmp_path, 2)) == {}, "another mesh has other errors"
+
+
+def test_errors_that_do_not_say_what_was_measured_are_not_used(tmp_path: Path) -> None:
+    (bundle(tmp_path) / accuracy.FILE).write_text('{"p2_q4": {"d_roof_mm": 0.1}}')
+    assert accuracy.known_errors(scene(tmp_path, 2)) == {}
+    accuracy.record(scene(tmp_path, 2), {"d_roof_mm": 0.2}, scene(tmp_path, 2))
+    accuracy.record(scene(tmp_path, 1), {"d_roof_mm": 0.9}, scene(tmp_path, 2))
+    assert accuracy.known_errors(scene(tmp_path, 2)) == {"d_roof_mm": 0.2}
+    assert accuracy.known_errors(scene(tmp_path, 1)) == {"d_roof_mm": 0.9}
 
 
 def test_the_cheapest_good_choice_is_recommended() -> None:
@@ -46,7 +65,6 @@ def test_nothing_that_ended_is_no_reference(tmp_path: Path) -> None:
         reference([failed])
     ended = variant(tmp_path, "own", 2, 1.0)
     assert errors(ended, ended) == {"esv_ml": 0.0, "d_roof_mm": 0.0}
-    (tmp_path / "b").mkdir()
-    (tmp_path / "b" / accuracy.FILE).write_text("{")
+    (bundle(tmp_path) / accuracy.FILE).write_text("{")
     with pytest.raises(InputError, match="tradeoff"):
         accuracy.known_errors(scene(tmp_path, 1))

@@ -122,7 +122,9 @@ def test_unknown_name() -> None:
         verification.choose(["beem"])
 
 
-@pytest.mark.parametrize("name", ["law", "patch", "pressure", "spring", "sphere", "beam", "ellipsoid", "prestrain"])
+@pytest.mark.parametrize(
+    "name", ["law", "patch", "pressure", "spring", "sphere", "beam", "ellipsoid", "prestrain", "sensitivities"]
+)
 def test_problem(freefem: FreeFem, name: str) -> None:
     checks = verification.verify(name)
     assert len(checks) >= 2
@@ -220,6 +222,15 @@ SLIPS = {
     "prestrain.hpp": [
         ("w0 * L[c] * g[b][i] * (1.0 - gap)", "w0 * L[c] * g[b][i] * (1.0 - 0.99 * gap)", "prestrain"),
         ("+= m * p[d] * g[b][i]", "+= 0.99 * m * p[d] * g[b][i]", "prestrain"),
+    ],
+    "sensitivities.hpp": [
+        ("(1 + r.Q) / law.alpha", "(1 + 0.999 * r.Q) / law.alpha", "sensitivities"),
+        ("+= m / law.alpha", "+= 0.99 * m / law.alpha", "sensitivities"),
+        ("+= m * trace[input]", "+= 0.99 * m * trace[input]", "sensitivities"),
+        ("wk * L[c] * (1 - gap)", "wk * L[c]", "sensitivities"),
+        ("df[i] -= along * f[i];", "df[i] -= 0.9 * along * f[i];", "sensitivities"),
+        ("+= shares[0] * f.R[i]", "+= f.R[i]", "sensitivities"),
+        ("-= value * f.K[i][j]", "-= f.K[i][j]", "sensitivities"),
     ],
 }
 

@@ -87,8 +87,8 @@ def border_notes(mask: Image, at_low: BoolArray, at_high: BoolArray, what: str) 
         size = np.bincount(parts.ravel(), minlength=count + 1)[1:]
         side = f"{_side(mask.direction[:, axis] * (1 if high else -1))} border (the {'last' if high else 'first'} {'ijk'[axis]})"
         for wide, words in (
-            (True, "the atrium may be cut: {what} touches the image's {side} with {area}, wider than a vein; the cut is taken for "
-                   "wall, so that volume and shape are wrong there"),
+            (True, "the atrium may be cut: {what} touches the image's {side} with {area}, wider than a vein; the cut is taken "
+                   "for wall, so that volume and shape are wrong there"),
             (False, "{what} leaves the image through its {side} with {area}, nowhere wider than a vein"),
         ):  # fmt: skip
             if voxels := int(size[(width > VEIN_MM) == wide].sum()):

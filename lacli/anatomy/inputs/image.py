@@ -67,8 +67,8 @@ class Image:
         degrees = float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0))))
         mirrored = ", and one is the mirror image of the other" if np.linalg.det(turn) < 0 else ""
         return [
-            f"the NIfTI header holds two transforms that differ by {away:.3g} mm and {degrees:.3g} degrees at the atrium{mirrored}: "
-            "the sform is used, as the standard has it, not the qform; correct the header if the image lies in the wrong place",
+            f"the NIfTI header holds two transforms that differ by {away:.3g} mm and {degrees:.3g} degrees at the atrium"
+            f"{mirrored}: the sform is used, as the standard has it, not the qform; correct the header if the image lies in the wrong place",
             *self.notes,
         ]
 
@@ -167,8 +167,8 @@ def _check_size(path: Path, shape: tuple[int, ...], voxel_bytes: int) -> None:
         size *= int(n)
     if size > MOST_BYTES:
         raise InputError(
-            f"{path}: {_times(shape)} voxels of {voxel_bytes} bytes are {size / 1e9:.3g} GB, more than the {MOST_BYTES / 1e9:.2g} GB "
-            "that are taken; crop the image to the heart, or resample it."
+            f"{path}: {_times(shape)} voxels of {voxel_bytes} bytes are {size / 1e9:.3g} GB, more than the "
+            f"{MOST_BYTES / 1e9:.2g} GB that are taken; crop the image to the heart, or resample it."
         )
     if min(shape[:3]) < 2:
         raise InputError(f"{path}: the image has {_times(shape)} voxels, which is a slice; export the volume.")
@@ -211,8 +211,8 @@ def _check_perpendicular(path: Path, direction: FloatArray) -> None:
     if off[worst] > MOST_TILT_DEG:
         first, second = ("ijk"[axis] for axis in pairs[worst])
         raise InputError(
-            f"{path}: the image's axes are not perpendicular, {first} and {second} are {off[worst]:.1f} degrees off a right angle "
-            "(a tilted gantry, or a sheared affine); resample the image to a straight grid."
+            f"{path}: the image's axes are not perpendicular, {first} and {second} are {off[worst]:.1f} degrees off a right "
+            "angle (a tilted gantry, or a sheared affine); resample the image to a straight grid."
         )
 
 

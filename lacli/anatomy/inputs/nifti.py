@@ -120,7 +120,7 @@ def _parse(path: Path, head: bytes) -> tuple[Header, bytes]:
         quaternion, rows = take("6d", 352), take("12d", 400)
     if magic[:3] not in (b"n+1", b"ni1", b"n+2", b"ni2"):
         raise InputError(
-            f"{path}: the header is of Analyze 7.5, which does not say where left and right are; convert the image to NIfTI or NRRD."
+            f"{path}: the header is of Analyze 7.5, which does not say where left and right are; convert it to NIfTI or NRRD."
         )
     if not 1 <= dim[0] <= 7 or any(n < 1 for n in dim[1 : 1 + int(dim[0])]) or bits < 1:
         raise InputError(f"{path}: the NIfTI header is damaged (dimensions {[int(n) for n in dim]}, {int(bits)} bits a voxel).")

@@ -11,6 +11,7 @@ namespace lacli {
 enum Input { C_REGION = 0, ALPHA_REGION = 5, EDP = 10, ESP = 11, K_PERI = 12, PTH = 13, VEINS = 14, INPUTS = 15 };
 
 // One cell. region: 0 to 4, else no region of the body. dv: of its nodes along each input (where moves). to: += by input.
+// A linear cell has one strain: it is evaluated once, with its mean pressure, in which the stress is linear.
 // Returns false as cell_integral.
 inline bool cell_slopes(const TetRule &rule, const CellData &cell, int region, const double (*X)[3], const double (*x)[3],
                         const double *p, const double *fibres, const double (*v)[3], const double (*dv)[10][3],
@@ -23,8 +24,9 @@ inline bool cell_slopes(const TetRule &rule, const CellData &cell, int region, c
   double volume = 0, meanL[4] = {0, 0, 0, 0}, LL[4][4] = {}, trace[INPUTS] = {};
   double g[10][3], dU[9][9];
   Response r;
-  for (int q = 0; q < rule.n; ++q) {
-    const double *dN = &rule.dN[(size_t)q * nn * 3], *L = &rule.L[4 * q];
+  for (int q = 0, next; q < rule.n; q = next) {
+    next = nn == 4 ? rule.n : q + 1;         // points q to next have the same strain
+    const double *dN = &rule.dN[(size_t)q * nn * 3];
     Mat H, h = {}, Hi, D, F, e, U, Ui;
     const double JX = image_gradients(rule, q, X, H, g);
     if (!(JX > 0)) return false;
@@ -42,15 +44,21 @@ inline bool cell_slopes(const TetRule &rule, const CellData &cell, int region, c
     double a[3], f[3] = {0, 0, 0};
     for (int i = 0; i < 3; ++i) a[i] = H[i][0] * a0[0] + H[i][1] * a0[1] + H[i][2] * a0[2];
     unstretched(Ui, a, f);
-    const double pq = L[0] * p[0] + L[1] * p[1] + L[2] * p[2] + L[3] * p[3];
-    if (!respond(law, F, f, pq, any ? 2 : 0, r)) return false;
-    const double w = rule.w[q] * JX / det(U), volumetric = law.kp * r.lnJ + pq;
-    const double gap = r.lnJ - (law.kq > 0 ? pq / law.kq : 0.0);
-    volume += w;
-    for (int c = 0; c < 4; ++c) {
-      meanL[c] += w * L[c];
-      for (int d = 0; d < 4; ++d) LL[c][d] += w * L[c] * L[d];
+    double w = 0, mean = 0, rows[4] = {0, 0, 0, 0};  // rows: of the volume's change in the pressures' equations
+    const double density = JX / det(U), lnJ = std::log(det(F));
+    for (int k = q; k < next; ++k) {
+      const double *L = &rule.L[4 * k], wk = rule.w[k] * density;
+      const double pk = L[0] * p[0] + L[1] * p[1] + L[2] * p[2] + L[3] * p[3];
+      const double gap = lnJ - (law.kq > 0 ? pk / law.kq : 0.0);
+      w += wk, mean += wk * pk;
+      for (int c = 0; c < 4; ++c) {
+        rows[c] += wk * L[c] * (1 - gap), meanL[c] += wk * L[c];
+        for (int d = 0; d < 4; ++d) LL[c][d] += wk * L[c] * L[d];
+      }
     }
+    mean /= w, volume += w;
+    if (!respond(law, F, f, mean, any ? 2 : 0, r)) return false;
+    const double volumetric = law.kp * r.lnJ + mean;
     // the residual is w P U g
     auto add = [&](int input, const Mat M) {
       for (int b = 0; b < nn; ++b)
@@ -105,7 +113,7 @@ inline bool cell_slopes(const TetRule &rule, const CellData &cell, int region, c
           for (int i = 0; i < 9; ++i) M[i / 3][i % 3] += (k == l ? 1 : 2) * de[k][l] * B[3 * k + l][i];
       add(input, M);
       trace[input] = de[0][0] + de[1][1] + de[2][2];
-      for (int c = 0; c < 4; ++c) to[input][4 * c + 3] += w * L[c] * trace[input] * (1 - gap);
+      for (int c = 0; c < 4; ++c) to[input][4 * c + 3] += rows[c] * trace[input];
     }
   }
   if (cell.stab > 0)                         // stab is 1 / (C alpha ..); the unstretched volume falls with div v

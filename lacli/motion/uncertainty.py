@@ -1,0 +1,187 @@
+"""How far tracking errs on this patient: a known motion like the tracked one is applied to the patient's own image and tracked.
+
+Errors of the features, and how they go together between frames and regions, are read from that. Lengths mm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from lacli.anatomy.inputs.image import Image
+from lacli.anatomy.surface_features import Endocardium
+from lacli.base.arrays import FloatArray
+from lacli.contracts.labels import REGIONS
+from lacli.geometry.quadrature import at_quadrature
+from lacli.motion.field import Field, pull
+from lacli.motion.tracking import Pair
+
+SEED = 20260420
+# The applied motion is a tracked one, already as smooth as the engine makes it, so the engine finds it more easily than it found the
+# true one: on the synthetic atria of benchmarks/track.py true errors are this many times those of the known motion.
+SMOOTHER = 1.35
+_PRIOR_SAMPLES = 8.0
+
+
+@dataclass(frozen=True)
+class SurfaceError:
+    """Area-weighted means over the endocardium of |e|, of |e . n| and of the tangential |e|, mm; by region and for "global"."""
+
+    whole: dict[str, float]
+    normal: dict[str, float]
+    tangential: dict[str, float]
+
+
+def surface_error(surface: Endocardium, error: FloatArray) -> SurfaceError:
+    """Of an error e (n, 3) mm at the bundle's points."""
+    e = at_quadrature(surface.faces, error)
+    along = (e * surface.normal).sum(axis=2)
+    sizes = [np.linalg.norm(e, axis=2), np.abs(along), np.linalg.norm(e - along[..., None] * surface.normal, axis=2)]
+    result: list[dict[str, float]] = []
+    for size in sizes:
+        means = {"global": float((surface.area * size).sum() / surface.area.sum())}
+        for name, number in REGIONS.items():
+            here = surface.region == number
+            if here.any():
+                means[name] = float((surface.area[here] * size[here]).sum() / surface.area[here].sum())
+        result.append(means)
+    return SurfaceError(*result)
+
+
+@dataclass(frozen=True)
+class Template:
+    """The patient's end-diastole with little noise: mean of all frames pulled back to it; the noise of one frame, sd (HU), and its
+    correlation over a voxel's step."""
+
+    image: Image
+    noise_hu: float
+    correlation: float
+    left: float  # share of one frame's noise variance still in the mean
+
+
+def template(ed: Image, frames: Sequence[Image], fields: Sequence[Field]) -> Template:
+    """From the frames after end-diastole and their fields."""
+    total = np.zeros(ed.array.shape)
+    for frame, field in zip(frames, fields, strict=True):
+        total += pull(frame, field).array
+    mean = total / len(frames)
+    rest = ed.array - mean
+    rest = rest - np.median(rest)
+    # the median is of the many voxels where nothing but noise differs, not of the borders
+    size = 1.4826 * float(np.median(np.abs(rest))) / np.sqrt(1.0 + 1.0 / len(frames))
+    small = np.abs(rest) < 3.0 * max(size, 1e-9)
+    both = small[..., 1:] & small[..., :-1]
+    lag = float((rest[..., 1:] * rest[..., :-1])[both].mean() / max(float((rest[small] ** 2).mean()), 1e-12)) if both.any() else 0.0
+    return Template(ed.with_array(mean.astype(np.float32)), size, float(np.clip(lag, 0.0, 0.9)), 1.0 / len(frames))
+
+
+def noisy(image: Image, of: Template, rng: np.random.Generator) -> Image:
+    """The image with fresh noise like a frame's."""
+    noise = rng.normal(size=image.array.shape).astype(np.float32)
+    if of.correlation > 0.02:
+        # white noise smoothed by s has the correlation exp(-1 / (4 s^2)) over a step
+        noise = ndimage.gaussian_filter(noise, float(np.sqrt(-1.0 / (4.0 * np.log(of.correlation)))))
+        noise /= noise.std()
+    return image.with_array(image.array + np.float32(of.noise_hu * np.sqrt(1.0 - of.left)) * noise)
+
+
+@dataclass(frozen=True)
+class Known:
+    """A pair whose motion is known: displacement (n, 3) mm of the bundle's points from the first image to the second."""
+
+    pair: Pair
+    displacement: FloatArray
+
+
+def known_pair(name: str, of: Template, field: Field | None, points: FloatArray, seed: int) -> Known:
+    """The template at rest and moved by the field (None: not moved), each with its own noise."""
+    rng = np.random.default_rng([SEED, seed])
+    if field is None:
+        return Known(Pair(name, noisy(of.image, of, rng), noisy(of.image, of, rng)), np.zeros_like(points))
+    back = _on_grid(field.inverse(), of.image)
+    moved = pull(of.image, back)
+    # the moved image is the template at y + v(y): what was at x is now at x + w(x), w the inverse of v, exactly
+    w = back.solve_inverse_at(points, field.at(points))
+    return Known(Pair(name, noisy(of.image, of, rng), noisy(moved, of, rng)), w)
+
+
+def _on_grid(field: Field, image: Image) -> Field:
+    """The field on the voxels of the image, linear between its own."""
+    step = field.spacing / image.spacing
+    index = np.meshgrid(*(np.arange(n) / s for n, s in zip(image.array.shape, step[::-1], strict=True)), indexing="ij")
+    u = np.stack([ndimage.map_coordinates(field.u[..., i], index, order=1, mode="nearest") for i in range(3)], axis=-1)
+    return Field(u.astype(np.float32), image.spacing, image.origin, image.direction)
+
+
+def chosen_frames(count: int, most: int) -> list[int]:
+    """Which of ``count`` fields a known motion is made of: all, or ``most`` spread evenly."""
+    return sorted({round(i) for i in np.linspace(0, count - 1, min(count, most))}) if most > 0 else []
+
+
+@dataclass(frozen=True)
+class ErrorModel:
+    """Errors of features: sd by key, correlation (k, k) between keys of one frame, ``between`` frames (one number)."""
+
+    keys: tuple[str, ...]
+    sd: FloatArray
+    correlation: FloatArray
+    between: float
+    samples: int
+
+
+def kind_of(key: str) -> tuple[str, str]:
+    """Kind of a feature and its region ("" for the whole): ("n", "roof")."""
+    for region in REGIONS:
+        if f"_{region}" in key:
+            return key.replace(f"_{region}", "").removesuffix("_mm"), region
+    return ("d_global" if key == "d_global_mm" else key.removesuffix("_ml")), ""
+
+
+def error_model(errors: Sequence[Mapping[str, float]], factor: float = SMOOTHER) -> ErrorModel:
+    """From the features' errors in several known motions.
+
+    A region's sd is drawn towards that of its kind over all regions, since few motions tell it. Correlations are means over
+    regions and motions for each two kinds, within a region and between two. What frames share is the mean product of one feature's
+    errors in two motions.
+    """
+    keys = tuple(errors[0])
+    e = factor * np.array([[row[key] for key in keys] for row in errors])
+    kinds = [kind_of(key) for key in keys]
+    names = [kind for kind, _ in kinds]
+    pooled = {kind: float(np.mean(e[:, [i for i, n in enumerate(names) if n == kind]] ** 2)) for kind in set(names)}
+    own = (e**2).mean(axis=0)
+    prior = np.array([pooled[name] for name in names])
+    sd = np.sqrt((len(e) * own + _PRIOR_SAMPLES * prior) / (len(e) + _PRIOR_SAMPLES))
+    sd = np.maximum(sd, 1e-9)
+    z = e / sd
+    product = z.T @ z / len(e)
+    groups: dict[tuple[str, str, bool], list[float]] = {}
+    label = {}
+    for i, (a, r) in enumerate(kinds):
+        for j, (b, s) in enumerate(kinds):
+            if i == j:
+                continue
+            first, second = sorted((a, b))
+            label[i, j] = (first, second, r == s or not r or not s)
+            groups.setdefault(label[i, j], []).append(float(product[i, j]))
+    mean = {group: float(np.clip(np.mean(values), -0.98, 0.98)) for group, values in groups.items()}
+    correlation = np.eye(len(keys))
+    for (i, j), group in label.items():
+        correlation[i, j] = mean[group]
+    between = 0.0
+    if len(e) > 1:
+        total = z.sum(axis=0)
+        pairs = (total**2 - (z**2).sum(axis=0)) / (len(e) * (len(e) - 1))
+        between = float(np.clip(pairs.mean(), 0.0, 0.95))
+    return ErrorModel(keys, sd, nearest_correlation(correlation), between, len(e))
+
+
+def nearest_correlation(matrix: FloatArray) -> FloatArray:
+    """The correlation matrix without negative eigenvalues, its diagonal 1 again (Higham's first step)."""
+    value, vector = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    kept = (vector * np.maximum(value, 1e-3)) @ vector.T
+    size = np.sqrt(np.diag(kept))
+    return kept / np.outer(size, size)
