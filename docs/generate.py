@@ -149,7 +149,8 @@ def features_page() -> str:
     from lacli.contracts.features import FEATURES
 
     text = MADE + "# Features\n\nThe same functions measure image and simulation, on the same curved faces.\n"
-    text += "A name may end in `@<time>`, the time as a fraction of the RR interval from end-diastole (ED); without it, it stands at end-systole (ES).\n\n"
+    text += "A name may end in `@<time>`, the time as a fraction of the RR interval from end-diastole (ED);\n"
+    text += "without it, it stands at end-systole (ES).\n\n"
     return text + table(["key", "unit", "definition"], [[code(f.key), f.unit or "-", plain(f.definition)] for f in FEATURES])
 
 
