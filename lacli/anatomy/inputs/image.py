@@ -68,7 +68,8 @@ class Image:
         mirrored = ", and one is the mirror image of the other" if np.linalg.det(turn) < 0 else ""
         return [
             f"the NIfTI header holds two transforms that differ by {away:.3g} mm and {degrees:.3g} degrees at the atrium"
-            f"{mirrored}: the sform is used, as the standard has it, not the qform; correct the header if the image lies in the wrong place",
+            f"{mirrored}: the sform is used, as the standard has it, not the qform; correct the header if the image lies "
+            "in the wrong place",
             *self.notes,
         ]
 
