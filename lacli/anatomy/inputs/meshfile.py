@@ -44,7 +44,7 @@ def write(bundle: Bundle, path: Path) -> None:
     try:
         with quiet(meshio=True):
             if path.suffix == ".msh":
-                meshio.gmsh.write(temporary, _gmsh(bundle), fmt_version="2.2", binary=False)
+                meshio.gmsh.write(temporary, _gmsh(bundle), fmt_version="2.2", binary=True)
             else:
                 meshio.write(temporary, meshio.Mesh(bundle.points, [(kind, bundle.tets)], point_data=points, cell_data=cells))
     except Exception as error:
