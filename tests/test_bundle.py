@@ -225,6 +225,10 @@ def test_boundary_of_another_wall_is_refused(tmp_path: Path) -> None:
         load(folder)
     surface.point_data["wall_point"] = (surface.point_data["wall_point"] - 39) % 64
     surface.save(folder / "boundary.vtp")
+    with pytest.raises(AnatomyError, match=r"from its point .* of another bundle"):
+        load(folder)
+    surface.points = hollow_cube().points[surface.point_data["wall_point"]]
+    surface.save(folder / "boundary.vtp")
     with pytest.raises(AnatomyError, match="no outer faces"):
         load(folder)
 

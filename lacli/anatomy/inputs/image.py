@@ -6,6 +6,7 @@ RAS affine is turned by the reader. Arrays are indexed [k, j, i] (ITK's index re
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -223,7 +224,7 @@ def _checked(
 
 def _check_perpendicular(path: Path, direction: FloatArray) -> None:
     pairs = ((0, 1), (0, 2), (1, 2))
-    off = [float(np.degrees(np.arcsin(min(1.0, abs(direction[:, a] @ direction[:, b]))))) for a, b in pairs]
+    off = [math.degrees(math.asin(min(1.0, abs(float(direction[:, a] @ direction[:, b]))))) for a, b in pairs]
     worst = int(np.argmax(off))
     if off[worst] > 89.0:
         raise InputError(f"{path}: the affine is singular, two of the image's axes are the same; correct the header.")

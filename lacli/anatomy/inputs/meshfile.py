@@ -65,7 +65,7 @@ def _gmsh(bundle: Bundle) -> meshio.Mesh:
     points = {n: v for n in ("transmural", "pericardium_coordinate") if (v := getattr(bundle, n)) is not None}
     if bundle.uac is not None:
         points["uac"] = np.column_stack([bundle.uac, np.zeros(len(bundle.points))])
-    data = {"gmsh:physical": groups, "gmsh:geometrical": groups}
+    data: dict[str, list[Any]] = {"gmsh:physical": groups, "gmsh:geometrical": groups}
     if bundle.fibre is not None:
         data["fibre"] = [bundle.fibre, np.zeros((len(bundle.triangles), 3))]
     return meshio.Mesh(bundle.points, [(volume, bundle.tets), (face, bundle.triangles)], points, data, field_data=names)
