@@ -167,9 +167,10 @@ def _build(
     import numpy as np
 
     from lacli.anatomy import build
-    from lacli.anatomy.inputs import carp, image, repair
+    from lacli.anatomy.inputs import carp, image, meshfile, repair
     from lacli.anatomy.openings import landmarks
 
+    meshfile.check_surface(source)
     given = None if file is None else landmarks.read(file)
     if image.is_image(source):
         labels = image.read_labels(source)

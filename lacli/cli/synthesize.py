@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from pathlib import Path
@@ -10,7 +9,8 @@ from typing import Annotated, Any
 
 import typer
 
-from lacli.base.errors import AnatomyError, UsageError
+from lacli.base.documents import read_json
+from lacli.base.errors import AnatomyError, InputError, UsageError
 from lacli.cli.console import print_json, print_table, progress
 
 KEY = "synthesis"  # in anatomy.json: what a folder was made from, so that a rerun knows a finished one
@@ -234,9 +234,9 @@ def _finished(folder: Path, made_from: dict[str, Any]) -> dict[str, Any] | None:
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return None
     try:
-        info = json.loads((folder / "anatomy.json").read_text())
+        info = read_json(folder / "anatomy.json")
         same = info[KEY] == made_from
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (InputError, KeyError, TypeError) as error:
         raise AnatomyError(
             f"{folder} exists and was not written by `lacli synthesize`; choose another folder or remove it."
         ) from error
