@@ -84,7 +84,7 @@ class Range:
         self.scene = folder / "scene.toml"
         self.scene.write_text(SCENE.format(bundle="la"))
         self._tables()
-        label = [*LACLI, "synthesize", str(folder / "syn"), "--cell-size-mm", "8", "--image", "--voxel-mm", "1.5"]
+        label = [*LACLI, "synthesize", str(folder / "syn"), "--cell-size-mm", "8", "--image", "--voxel-mm", "2"]
         subprocess.run(label, check=True, capture_output=True)
         self.cache = folder / "cache"
 
@@ -104,7 +104,7 @@ class Range:
     def targets(self) -> list[Target]:
         scene = str(self.scene)
         simulate = ["simulate", scene, "--json"]
-        design = ["design", scene, "-n", "3", "--input", "c_kpa", "--run", "--workers", "1", "--json"]
+        design = ["design", scene, "-n", "3", "--input", "c_roof_kpa", "--run", "--workers", "1", "--json"]
         calibrate = ["calibrate", "--from-table", str(self.folder / "table.csv"), "--targets", str(self.folder / "targets.toml")]
         calibrate += ["--no-figures", "--ess", "300", "--json"]
         mesh = ["mesh", str(self.folder / "syn" / "labels.nrrd"), "--la", "2", "--lv", "3", "--wall", "4", "--cell-size-mm", "6"]
@@ -332,11 +332,11 @@ class Shooter:
 
 
 def plan(targets: list[Target], shots: int, chance: random.Random) -> Iterator[tuple[Target, str, str]]:
-    """Whom to shoot, how: compilers (slow to wait for) in every twelfth, FreeFEM and workers in a third, else lacli."""
+    """Whom to shoot, how: compilers (slow to wait for) in every twenty-fifth, FreeFEM and workers in a third, else lacli."""
     *quick, compiling = targets
     for number in range(shots):
         how = SIGNALS[number % len(SIGNALS)]
-        if number % 12 == 11:
+        if number % 25 == 24:
             yield compiling, chance.choice(["compiler", "lacli"]), chance.choice(SIGNALS)
         elif number % 3 == 2:
             runs = [target for target in quick if target.name.startswith(("simulate", "design"))]

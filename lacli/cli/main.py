@@ -82,7 +82,7 @@ def run() -> None:
         code = _code_of_the_command()
     finally:
         signals.settle()
-    sys.exit(code)
+    signals.leave(code)
 
 
 def _code_of_the_command() -> int:
@@ -103,6 +103,8 @@ def _code_of_the_command() -> int:
     except LacliError as error:
         fail(error)
         return error.exit_code
+    except BrokenPipeError:
+        return 141  # whoever read our output has enough of it
     except OSError as error:
         from lacli.base.machine import FULL, full_words
 
