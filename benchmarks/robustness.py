@@ -10,6 +10,7 @@ equal to the undisturbed ones, no orphan after 1 s, no lock or temporary left, e
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import os
 import signal
@@ -193,7 +194,12 @@ def volley(folder: Path, count: int, seed: int) -> Iterator[Verdict]:
         faults = "; ".join(shot.faults) or "as asked"
         err.print(f"{shot.target}: {shot.how} of {shot.victim} after {shot.after_s:.1f} s: {faults}", highlight=False)
 
-    landed, misses = shots(Range(folder), count, seed, tell)
+    place = Range(folder)
+    landed, misses = shots(place, count, seed, tell)
+    if importlib.util.find_spec("distributed") is not None:
+        from shots_cluster import cluster_shots
+
+        landed += cluster_shots(place, count // 7, seed, tell)
     groups: dict[tuple[str, str, str], list[Shot]] = {}
     for shot in landed:
         groups.setdefault((shot.target, shot.victim, shot.how), []).append(shot)
