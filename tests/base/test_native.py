@@ -52,29 +52,44 @@ from lacli.base.native import kept
 def build(folder):
     with open(sys.argv[2], "a") as log:
         log.write("built ")
-    time.sleep(0.5)
+    while not Path(sys.argv[3]).exists():
+        time.sleep(0.01)
     (folder / "it.so").write_text("code")
     return folder / "it.so"
 print(kept(Path(sys.argv[1]), ("a",), "it.so", build))
 """
 
 
+def ask(folder: Path) -> subprocess.Popen[str]:
+    """A process that asks for the file; its build takes until there is a file ``go``."""
+    command = [sys.executable, "-c", ASK, str(folder / "cache"), str(folder / "log"), str(folder / "go")]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def wait_for(file: Path) -> None:
+    end = time.monotonic() + 30
+    while not file.exists():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.01)
+
+
 def test_two_processes_build_once(tmp_path: Path) -> None:
-    command = [sys.executable, "-c", ASK, str(tmp_path / "cache"), str(tmp_path / "log")]
     (tmp_path / "cache").mkdir()
-    both = [subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) for _ in range(2)]
-    said = [one.communicate(timeout=30) for one in both]
-    assert said[0][0] == said[1][0] and (tmp_path / "log").read_text() == "built "
-    assert sum("waiting for process" in err and "which compiles it.so" in err for _, err in said) == 1
+    with ask(tmp_path) as first:
+        wait_for(tmp_path / "log")
+        with ask(tmp_path) as second:
+            assert second.stderr is not None
+            said = second.stderr.readline()
+            (tmp_path / "go").touch()
+            answers = [one.communicate(timeout=30)[0] for one in (first, second)]
+    assert f"waiting for process {first.pid} on " in said and "which compiles it.so" in said
+    assert answers[0] == answers[1] and (tmp_path / "log").read_text() == "built "
 
 
 def test_a_build_that_was_killed_leaves_nothing_for_long(tmp_path: Path) -> None:
     (tmp_path / "cache").mkdir()
-    command = [sys.executable, "-c", ASK, str(tmp_path / "cache"), str(tmp_path / "log")]
-    with subprocess.Popen(command, stdout=subprocess.PIPE) as one:
-        end = time.monotonic() + 20
-        while not (tmp_path / "log").exists() and time.monotonic() < end:
-            time.sleep(0.01)
+    with ask(tmp_path) as one:
+        wait_for(tmp_path / "log")
         one.send_signal(signal.SIGKILL)
     assert list((tmp_path / "cache").glob(".build-*"))
     file = kept(tmp_path / "cache", ("a",), "it.so", make(b"code"))
