@@ -63,6 +63,7 @@ def command(
 
     Example: lacli calibrate scene.toml --targets targets.toml --out patient_1
     """
+    from lacli.base.files import check_folder
     from lacli.calibration.calibration import Settings, calibrate, calibration_identity, obstacle
     from lacli.inference.box import CALIBRATION_INPUTS, OUTPUTS, published_box, read_box
     from lacli.inference.posterior import Settings as Sampling
@@ -74,6 +75,7 @@ def command(
         raise UsageError("give a SCENE to simulate, or --from-table with runs done elsewhere.")
     if synthetic == (targets_file is not None):
         raise UsageError("give either --targets or --synthetic-truth.")
+    check_folder(folder)
     box = read_box(box_file) if box_file else published_box(CALIBRATION_INPUTS)
     settings = Settings(
         first_runs=first,
