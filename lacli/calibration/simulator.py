@@ -41,7 +41,7 @@ class SceneSimulator:
         """The scene but for what the inputs set, the bundle's content, FreeFEM's scripts, the errors that travel with a run."""
         from lacli.contracts.identity import determinants, flatten
 
-        given = [QUANTITIES[name].key for name in inputs]
+        given = [QUANTITIES[name].key for name in inputs if name in QUANTITIES]
         kept = {key: value for key, value in flatten(determinants(self.scene)).items() if key not in given}
         return {**kept, "discretisation_error": self._errors()}
 
