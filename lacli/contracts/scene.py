@@ -94,14 +94,14 @@ def _spread(value: Any) -> Any:
 class Anatomy(_Frozen):
     """``bundle``: the anatomy's folder, relative to the scene file."""
 
-    bundle: Path
+    bundle: Path = Field(description="folder of the anatomy bundle, relative to the scene file")
 
 
 class Materials(_Frozen):
     """Guccione's law of the wall (C, alpha per region) and neo-Hookean rings and planes."""
 
     place = "materials"
-    law: Literal["guccione", "neo_hookean"] = "guccione"
+    law: Literal["guccione", "neo_hookean"] = Field("guccione", description="law of the wall")
     c_kpa: Stiffness = Stiffness(**{name: _default(f"materials.c_kpa.{name}") for name in BODY_REGIONS})
     alpha: Exponent = Exponent(**{name: _default(f"materials.alpha.{name}") for name in BODY_REGIONS})
     bf: Number = _default("materials.bf")
@@ -121,7 +121,10 @@ class Loads(_Frozen):
     edp_mmhg: Number = _default("loads.edp_mmhg")
     esp_mmhg: Number = _default("loads.esp_mmhg")
     vein_spring_kpa_per_um: Number = _default("loads.vein_spring_kpa_per_um")
-    transient_mmhg: tuple[tuple[float, float], ...] | None = None
+    transient_mmhg: tuple[tuple[float, float], ...] | None = Field(
+        None,
+        description="cavity pressure over the cycle, pairs of share of the cycle and mmHg; without it, idealised",
+    )
 
     @field_validator("transient_mmhg")
     @classmethod
@@ -157,7 +160,7 @@ class Pericardium(_Frozen):
     k_peri_kpa_per_um: Number = _default("pericardium.k_peri_kpa_per_um")
     pth: Number = _default("pericardium.pth")
     ramp: Number = _default("pericardium.ramp")
-    outward_only: bool = False
+    outward_only: bool = Field(False, description="whether the springs resist outward motion only")
 
     @property
     def k_peri_kpa_per_mm(self) -> float:
@@ -168,7 +171,9 @@ class MotionSettings(_Frozen):
     """Where the mitral annulus goes: the bundle's own frames, a rigid shift along its axis, or nowhere."""
 
     place = "motion"
-    annulus: Literal["bundle", "axial", "none"] = "bundle"
+    annulus: Literal["bundle", "axial", "none"] = Field(
+        "bundle", description="motion of the mitral annulus: the frames of the bundle, a rigid descent along its axis, or none"
+    )
     amplitude_mm: Number = _default("motion.amplitude_mm")
     es_time: Number = _default("motion.es_time")
     frames: int = _default("motion.frames")
@@ -186,12 +191,19 @@ class Numerics(_Frozen):
     """
 
     place = "numerics"
-    order: Literal[1, 2] = 2
-    quadrature: Literal[4, 14] = 4
+    order: Literal[1, 2] = Field(2, description="order of the cells: 1 straight with 4 nodes, 2 curved with 10 nodes")
+    quadrature: Literal[4, 14] = Field(4, description="quadrature points of a cell")
     kappa_points_kpa: Number = _default("numerics.kappa_points_kpa")
-    unloading: Literal["prestrain", "backward"] = "prestrain"
-    settle_ed: bool = False
-    engine: Literal["auto", "plugin", "script"] = "auto"
+    unloading: Literal["prestrain", "backward"] = Field(
+        "prestrain", description="how end-diastole is found: strain that balances EDP in the image, or backward displacement"
+    )
+    settle_ed: bool = Field(
+        False, description="whether an unstable end-diastole settles into the nearest stable one before it fills"
+    )
+    engine: Literal["auto", "plugin", "script"] = Field(
+        "auto",
+        description="what assembles and solves: the compiled plugin, the script without compiler, or whichever can",
+    )
     unloading_volume_tolerance: Number = _default("numerics.unloading_volume_tolerance")
     unloading_max_sweeps: int = _default("numerics.unloading_max_sweeps")
     tolerance_mm: Number = _default("numerics.tolerance_mm")
@@ -205,11 +217,17 @@ class Outputs(_Frozen):
 
     place = "outputs"
     frames: int = _default("outputs.frames")
-    conduit: bool = False
-    fields: Literal["none", "es", "all"] = "es"
-    strain: bool = False
-    unloaded: bool = True
-    sensitivities: bool = False
+    conduit: bool = Field(False, description="whether the conduit phase after end-systole is simulated")
+    fields: Literal["none", "es", "all"] = Field(
+        "es", description="states written as VTU files: none, end-diastole and end-systole, or every frame"
+    )
+    strain: bool = Field(
+        False, description="whether features of the wall's cells are added: fibre strain and change of thickness by region"
+    )
+    unloaded: bool = Field(True, description="whether the wall without pressure is sought too, and its volume")
+    sensitivities: bool = Field(
+        False, description="whether the derivatives of the features by the inputs of the study are written too"
+    )
 
 
 class Scene(_Frozen):
