@@ -17,17 +17,19 @@ from typing import Any
 import numpy as np
 
 from lacli.base.arrays import FloatArray
-from lacli.base.errors import InputError, LacliError, UsageError
-from lacli.base.files import DAMAGED, replacing, write_json
+from lacli.base.errors import LacliError, UsageError
+from lacli.base.files import write_json
 from lacli.contracts.targets import Targets
 from lacli.inference import posterior as mcmc
 from lacli.inference.box import Box
 from lacli.inference.design import design
 from lacli.inference.emulation.emulator import fit_emulators
-from lacli.inference.emulation.emulator_set import EmulatorSet, load_emulators, save_emulators
+from lacli.inference.emulation.emulator_file import load_emulators, save_emulators
+from lacli.inference.emulation.emulator_set import EmulatorSet
 from lacli.inference.emulation.feasibility import learn
 from lacli.inference.likelihood import Density
 from lacli.inference.matching import Match, Region, Wave, match, next_runs, ruled_out_by
+from lacli.inference.matching_file import load_match, save_match
 from lacli.inference.nroy import EmptyRegionError, RegionSample
 from lacli.inference.runs import RunLog, Simulator
 
@@ -274,27 +276,8 @@ def _emulators(
 def _match(region: Region, settings: Settings, number: int, place: Path, previous: Match | None) -> Match:
     file = place / "region.npz"
     if not file.is_file():
-        found = match(region, seed=settings.seed + number, previous=previous)
-        s = found.sample
-        with replacing(file) as temporary, temporary.open("wb") as sink:
-            numbers = [
-                s.volume,
-                s.volume_sd,
-                s.acceptance,
-                s.correlation,
-                s.evaluations,
-                found.share,
-                found.share_sd,
-                found.change,
-            ]
-            np.savez_compressed(sink, points=s.points, level=s.level, numbers=np.array(numbers, float))
-    try:
-        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as a:
-            v = [float(value) for value in a["numbers"]]
-            sample = RegionSample(a["points"], a["level"], v[0], v[1], v[2], v[3], int(v[4]))
-            return Match(sample, v[5], v[6], v[7])
-    except DAMAGED as error:
-        raise InputError(f"{file}: not a matched region, or a damaged one ({error}). Remove it to match anew.") from error
+        save_match(file, match(region, seed=settings.seed + number, previous=previous))
+    return load_match(file, region.box)
 
 
 def _next(

@@ -1,24 +1,18 @@
-"""All outputs' emulators at once: batched mean and variance, stored in one file without pickle."""
+"""All outputs' emulators at once: batched mean and variance."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lacli.base.arrays import FloatArray
-from lacli.base.errors import InputError
-from lacli.base.files import DAMAGED, replacing
-from lacli.base.threads import one_thread
-from lacli.inference.emulation import gp, moments
+from lacli.inference.emulation import moments
 from lacli.inference.emulation.emulator import Emulator
-from lacli.inference.emulation.scales import OutputScale
 
-FORMAT = 2
 # runs whose correlations bound the variance from above in a first look
 _HEAD = 64
 
@@ -216,46 +210,3 @@ def _stack(emulators: Sequence[Emulator]) -> _Stack:
         offset=tall([o.offset for o in scales]), sign=tall([o.sign for o in scales]),
         logs=frozenset(j for j, o in enumerate(scales) if o.log),
     )  # fmt: skip
-
-
-def save_emulators(path: Path, emulators: EmulatorSet) -> None:
-    """Write the emulators to an .npz file (numbers and names only); the file appears whole or not at all."""
-    arrays: dict[str, Any] = {
-        "format": np.array(FORMAT), "inputs": np.array(emulators.inputs), "outputs": np.array(emulators.outputs),
-    }  # fmt: skip
-    for i, e in enumerate(emulators.emulators):
-        arrays |= {
-            f"{i}_log_inputs": e.log_inputs, f"{i}_low": e.low, f"{i}_high": e.high,
-            f"{i}_scales": np.array([*astuple(e.output_scale), e.shift, e.scale], float),
-            f"{i}_quality": np.array([e.inflation, e.held_out_r2, e.error_sd, e.process.objective], float),
-            f"{i}_theta": e.process.theta, f"{i}_u": e.process.u, f"{i}_y": e.process.y, f"{i}_noise": e.process.noise,
-        }  # fmt: skip
-    with replacing(Path(path)) as temporary, temporary.open("wb") as stream:
-        np.savez_compressed(stream, **arrays)
-
-
-def load_emulators(path: Path) -> EmulatorSet:
-    """Read what ``save_emulators`` wrote. Raises InputError if the file is missing, damaged or of another kind."""
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such emulator file. Make it with `lacli emulate`.")
-    try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as a, one_thread():
-            if int(a["format"]) != FORMAT:
-                raise InputError(
-                    f"{path}: written in format {int(a['format'])}, this program reads {FORMAT}. Run `lacli emulate` again."
-                )
-            emulators = []
-            for i, output in enumerate(a["outputs"]):
-                log, offset, sign, shift, scale = (float(v) for v in a[f"{i}_scales"])
-                inflation, r2, error_sd, objective = (float(v) for v in a[f"{i}_quality"])
-                process = gp.condition(a[f"{i}_theta"], a[f"{i}_u"], a[f"{i}_y"], a[f"{i}_noise"], objective)
-                emulators.append(
-                    Emulator(
-                        str(output), a[f"{i}_log_inputs"], a[f"{i}_low"], a[f"{i}_high"],
-                        OutputScale(bool(log), offset, sign), shift, scale, inflation, r2, error_sd, process,
-                    )
-                )  # fmt: skip
-            return EmulatorSet(tuple(str(name) for name in a["inputs"]), tuple(emulators))
-    except (*DAMAGED, np.linalg.LinAlgError) as error:
-        raise InputError(f"{path}: not an emulator file, or a damaged one ({error}). Run `lacli emulate` again.") from error
