@@ -27,7 +27,7 @@ Kind = Literal["float", "int", "bool", "text"]
 # all arrays of a file together, decompressed: 20,000 steps of 4 x 56 walkers in 14 inputs are 0.5 GB
 LARGEST_BYTES = 4 << 30
 _MOST_MEMBERS = 20_000
-_LONGEST_TEXT = 500
+_LONGEST_TEXT = 1 << 20
 _WORDS = {"float": "floating point numbers", "int": "whole numbers", "bool": "yes or no", "text": "text"}
 # kinds of numpy's types, and the fewest bytes: half precision would lose what was measured
 _TYPES = {"float": ("f", 4), "int": ("iu", 1), "bool": ("b", 1), "text": ("U", 0)}
@@ -189,7 +189,7 @@ def _header(stream: Any, name: str) -> tuple[tuple[int, ...], bool, np.dtype]:
 
 def _check_text(name: str, wanted: Array, value: NDArray[Any]) -> None:
     for text in value.ravel().tolist():
-        if not text or not text.isprintable():
+        if not text or not text.replace("\n", " ").isprintable():
             raise _Unfit(f"{name} holds {text!r}, which is no name")
     if wanted.distinct and len(set(value.ravel().tolist())) < value.size:
         raise _Unfit(f"{name} holds one name twice")

@@ -24,8 +24,7 @@ from lacli.inference import posterior as mcmc
 from lacli.inference.box import Box
 from lacli.inference.design import design
 from lacli.inference.emulation.emulator import fit_emulators
-from lacli.inference.emulation.emulator_file import load_emulators, save_emulators
-from lacli.inference.emulation.emulator_set import EmulatorSet
+from lacli.inference.emulation.emulator_set import EmulatorSet, load_emulators, save_emulators
 from lacli.inference.emulation.feasibility import learn
 from lacli.inference.likelihood import Density
 from lacli.inference.matching import Match, Region, Wave, match, next_runs, ruled_out_by

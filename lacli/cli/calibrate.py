@@ -115,7 +115,8 @@ def _from_table(
     path: Path, targets_file: Path, box_file: Path | None, settings: Any, folder: Path, monitor: Monitor
 ) -> Calibration:
     from lacli.calibration.calibration import calibrate
-    from lacli.contracts.table import ERROR_SUFFIX, IGNORED, read_frame
+    from lacli.contracts.table import is_bookkeeping, read_frame
+    from lacli.contracts.table_columns import error_of
     from lacli.contracts.targets import read_targets
     from lacli.inference.box import RANGES, read_box, table_box
     from lacli.inference.runs import RunLog
@@ -125,7 +126,8 @@ def _from_table(
     if box_file:
         box = read_box(box_file)
     else:
-        others = [n for n in frame.columns if n not in targets.names and n not in IGNORED and not n.endswith(ERROR_SUFFIX)]
+        others = [n for n in frame.columns if n not in targets.names and not is_bookkeeping(n)]
+        others = [n for n in others if error_of(n, list(frame.columns)) is None]
         known = [n for n in others if n in RANGES]
         names = known or others
         x = frame[names].apply(_number).to_numpy(float)

@@ -29,8 +29,7 @@ def command(
     from lacli.base.files import check_file
     from lacli.base.threads import one_thread
     from lacli.inference.emulation.emulator import fit_emulators
-    from lacli.inference.emulation.emulator_file import save_emulators
-    from lacli.inference.emulation.emulator_set import EmulatorSet
+    from lacli.inference.emulation.emulator_set import EmulatorSet, save_emulators
     from lacli.inference.emulation.validation import cross_validate
 
     check_file(file)

@@ -39,7 +39,7 @@ def command(
 
     from lacli.base.files import check_folder, replacing
     from lacli.contracts.targets import read_targets
-    from lacli.inference.emulation.emulator_file import load_emulators
+    from lacli.inference.emulation.emulator_set import load_emulators
     from lacli.inference.matching import Region, Wave, match, next_runs, ruled_out_by
     from lacli.inference.nroy import EmptyRegionError
 

@@ -44,8 +44,7 @@ def fitted(
 ) -> tuple[EmulatorSet, RunTable | None]:
     """Emulators from a file, or fitted to the tables (then with the table)."""
     from lacli.inference.emulation.emulator import fit_emulators
-    from lacli.inference.emulation.emulator_file import load_emulators
-    from lacli.inference.emulation.emulator_set import EmulatorSet
+    from lacli.inference.emulation.emulator_set import EmulatorSet, load_emulators
 
     if emulators is not None:
         loaded = load_emulators(emulators)

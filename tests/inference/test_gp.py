@@ -9,8 +9,7 @@ from lacli.contracts.targets import Targets
 from lacli.inference.box import make_box
 from lacli.inference.emulation import gp
 from lacli.inference.emulation.emulator import fit_emulator, fit_emulators
-from lacli.inference.emulation.emulator_file import load_emulators, save_emulators
-from lacli.inference.emulation.emulator_set import EmulatorSet
+from lacli.inference.emulation.emulator_set import EmulatorSet, load_emulators, save_emulators
 from lacli.inference.emulation.function_draws import draw_functions
 from lacli.inference.emulation.scales import OutputScale
 from lacli.inference.emulation.validation import cross_validate, score
