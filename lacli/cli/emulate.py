@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from lacli.cli.console import out, print_json, print_table, progress
-from lacli.cli.tables import BoxFile, Inputs, Json, Linear, Names, Outputs, Seed, logarithmic, read
+from lacli.cli.tables import BoxFile, Inputs, Json, Linear, Names, Outputs, Seed, logarithmic, read, superseded
 
 
 def command(
@@ -31,7 +31,7 @@ def command(
     from lacli.base.files import check_file
     from lacli.base.threads import one_thread
     from lacli.inference.emulation.emulator import fit_emulators
-    from lacli.inference.emulation.emulator_set import EmulatorSet, save_emulators
+    from lacli.inference.emulation.emulator_set import EmulatorSet, emulators_identity, save_emulators
     from lacli.inference.emulation.validation import cross_validate
 
     check_file(file)
@@ -42,7 +42,8 @@ def command(
         scores = cross_validate(table, count=folds, tick=lambda: bar.advance(task), **options)
         task = bar.add_task("emulators", total=len(table.outputs))
         emulators = EmulatorSet(table.inputs, tuple(fit_emulators(table, tick=lambda: bar.advance(task), **options)))
-    save_emulators(file, emulators)
+    save_emulators(file, emulators, emulators_identity(table, **options))
+    superseded(file.parent, file.with_suffix(".png").name)
     pictures = []
     if figures:
         from lacli.report.inference_figures import validation_figure

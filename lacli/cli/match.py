@@ -9,7 +9,21 @@ import typer
 
 from lacli.base.errors import LacliError, UsageError
 from lacli.cli.console import err, out, print_json, print_table
-from lacli.cli.tables import BoxFile, Emulators, Inputs, Json, Names, Outputs, Seed, box_of, covered, fitted, selected, warn
+from lacli.cli.tables import (
+    BoxFile,
+    Emulators,
+    Inputs,
+    Json,
+    Names,
+    Outputs,
+    Seed,
+    box_of,
+    covered,
+    fitted,
+    selected,
+    superseded,
+    warn,
+)
 
 if TYPE_CHECKING:
     from lacli.base.arrays import FloatArray
@@ -43,6 +57,7 @@ def command(
     import pandas as pd
 
     from lacli.base.files import check_folder, replacing
+    from lacli.contracts.identity import identify, write_identity
     from lacli.contracts.targets import read_targets
     from lacli.inference.emulation.emulator_set import load_emulators
     from lacli.inference.matching import Region, Wave, match, next_runs, ruled_out_by
@@ -77,6 +92,10 @@ def command(
             + ". Check the targets' units and standard deviations, or widen the box."
         ) from error  # fmt: skip
     folder.mkdir(parents=True, exist_ok=True)
+    superseded(folder, "nroy.csv", "next.csv", "region.png", "outputs.png")
+    write_identity(
+        folder / "identity.json", identify("result", region=region, count=count, seed=seed, runs=existing, following=following)
+    )
     points = pd.DataFrame(found.sample.points, columns=list(box.names))
     points["implausibility"] = wave.implausibility(found.sample.points).max(1)
     with replacing(folder / "nroy.csv") as temporary:

@@ -30,8 +30,18 @@ Linear = Annotated[
     list[str] | None,
     typer.Option("--linear", help="Take this input as it is, never its logarithm (its range reaches 0); may be repeated."),
 ]
+Fresh = Annotated[
+    bool, typer.Option("--fresh", help="Where --out holds something else, start in a sub-folder of its own (fresh_1, ...).")
+]
+Retry = Annotated[bool, typer.Option("--retry", help="Try again what the machine has ended three times.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of all random numbers.")]
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")]
+
+
+def superseded(folder: Path, *names: str) -> None:
+    """Remove what an earlier call left in the folder and this one does not write: it would show another result."""
+    for name in names:
+        (folder / name).unlink(missing_ok=True)
 
 
 def read(inputs: Path | None, outputs: Path | None, names: list[str] | None) -> RunTable:

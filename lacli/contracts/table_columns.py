@@ -10,6 +10,7 @@ import pandas as pd
 
 from lacli.base.arrays import BoolArray, FloatArray
 from lacli.base.errors import TableError
+from lacli.contracts.failures import MACHINE, SCENE
 
 STATUS = "status"
 ERROR_SUFFIX = "_discretisation_error"
@@ -31,7 +32,7 @@ FAILED = frozenset(
     {
         "failed", "fail", "failure", "error", "errored", "crash", "crashed", "diverged", "not_converged", "nonconverged",
         "unconverged", "aborted", "abort", "invalid", "rejected", "timeout", "timed_out", "inverted_element", "nan", "false",
-        "no", "0",
+        "no", "0", *SCENE,
     }
 )  # fmt: skip
 # what the machine ended, or has not begun: no result of the simulator's, nothing to learn from
@@ -39,7 +40,7 @@ UNFINISHED = frozenset(
     {
         "killed", "out_of_memory", "oom", "disk_full", "lost", "lost_worker", "cancelled", "canceled", "preempted", "node_fail",
         "boot_fail", "deadline", "revoked", "interrupted", "suspended", "pending", "queued", "running", "submitted", "waiting",
-        "skipped", "not_run", "todo", "planned", "new",
+        "skipped", "not_run", "todo", "planned", "new", *MACHINE,
     }
 )  # fmt: skip
 
@@ -92,8 +93,8 @@ def run_states(frame: pd.DataFrame, where: str) -> tuple[BoolArray, BoolArray] |
                 f" failed: {', '.join(sorted(FAILED))}; never finished: {', '.join(sorted(UNFINISHED))}."
             )
     done, failed = (np.array([word in those for word in words]) for those in (DONE, FAILED))
-    if "kind" in frame.columns:  # a run that is called failed, though the machine ended it
-        failed &= ~np.array([_word(kind) in UNFINISHED for kind in frame["kind"]])
+    for name in {"kind", "failure"} & set(frame.columns):  # a run that is called failed, though the machine ended it
+        failed &= ~np.array([_word(kind) in UNFINISHED for kind in frame[name]])
     return done, failed
 
 

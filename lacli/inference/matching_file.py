@@ -21,12 +21,12 @@ _SCHEMA = {
 }
 
 
-def save_match(path: Path, found: Match) -> None:
-    """Write the region to an .npz file, whole or not at all."""
+def save_match(path: Path, found: Match, identity: str) -> None:
+    """Write the region to an .npz file, with what it was made from (the text of an identity), whole or not at all."""
     points, level, *rest = astuple(found.sample)
     numbers = np.array([*rest, found.share, found.share_sd, found.change], float)
     with replacing(Path(path)) as temporary, temporary.open("wb") as stream:
-        np.savez_compressed(stream, points=points, level=level, numbers=numbers)
+        np.savez_compressed(stream, points=points, level=level, numbers=numbers, identity=np.array(identity))
 
 
 def load_match(path: Path, box: Box) -> Match:
