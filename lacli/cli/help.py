@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import copy
+from typing import Any
 
-import click
 from rich.markup import escape
 from typer.core import TyperCommand
 
@@ -12,7 +12,7 @@ from typer.core import TyperCommand
 class PlainHelp(TyperCommand):
     """A command whose help keeps its square brackets."""
 
-    def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+    def format_help(self, ctx: Any, formatter: Any) -> None:
         """Print the help, brackets escaped in a copy (the texts themselves stay as they are)."""
         shown = copy.copy(self)
         shown.help = escape(self.help) if self.help else self.help

@@ -41,7 +41,7 @@ def test_words_of_status_are_known_however_they_are_spelt(word, spelling):
 @pytest.mark.parametrize("word", ["all right", "", None, "maybe"])
 def test_other_words_are_named_with_the_known_ones(word):
     x, y = frames()
-    with pytest.raises(TableError, match="row 1 .*completed.*failed"):
+    with pytest.raises(TableError, match=r"row 1 .*completed.*failed"):
         combine(x, y.assign(status=[word] + ["done"] * 39))
 
 
