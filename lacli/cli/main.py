@@ -20,6 +20,7 @@ COMMANDS: dict[str, str] = {
     "doctor": "Find FreeFEM, its plugins, BLAS and gmsh; say what is missing and what installs it.",
     "synthesize": "Write a parametric left atrium from a seed (bundle, label map, motion, targets).",
     "mesh": "Turn a label map or a surface into an anatomy bundle.",
+    "track": "Track a gated CT: motion, transients, targets with covariance.",
     "fat": "Segment epicardial fat in a CT volume; volume per region and its mesh.",
     "simulate": "Run a scene: features, transients, fields, pictures.",
     "verify": "Run the verification problems: computed, reference, error.",

@@ -277,8 +277,8 @@ def sample(image: Image, points: FloatArray) -> FloatArray:
 def around(image: Image, points: FloatArray, work_mm: float = WORK_MM) -> Image:
     """The volume cropped to the points (n, 3) and 25 mm around, in voxels of ``work_mm``, float32.
 
-    Finer voxels are averaged (less noise, and the engine's time is that of its voxels); a grid that is already of about that size
-    is only cropped.
+    Finer voxels are averaged (less noise, and the engine's time is that of its voxels), coarser ones kept; a grid that is already of
+    about that size is only cropped.
     """
     import SimpleITK as sitk
 
@@ -288,6 +288,7 @@ def around(image: Image, points: FloatArray, work_mm: float = WORK_MM) -> Image:
     high = np.clip(np.ceil(index.max(axis=0) + MARGIN_MM / image.spacing).astype(int) + 1, 1, size)
     piece = image.crop(low, high)
     piece = piece.with_array(piece.array.astype(np.float32))
+    work_mm = max(work_mm, float(piece.spacing.min()))
     if np.all(np.abs(piece.spacing / work_mm - 1.0) < 0.15):
         return piece
     source = to_sitk(piece)

@@ -74,7 +74,9 @@ def template(ed: Image, frames: Sequence[Image], fields: Sequence[Field]) -> Tem
     size = 1.4826 * float(np.median(np.abs(rest))) / np.sqrt(1.0 + 1.0 / len(frames))
     small = np.abs(rest) < 3.0 * max(size, 1e-9)
     both = small[..., 1:] & small[..., :-1]
-    lag = float((rest[..., 1:] * rest[..., :-1])[both].mean() / max(float((rest[small] ** 2).mean()), 1e-12)) if both.any() else 0.0
+    lag = (
+        float((rest[..., 1:] * rest[..., :-1])[both].mean() / max(float((rest[small] ** 2).mean()), 1e-12)) if both.any() else 0.0
+    )
     return Template(ed.with_array(mean.astype(np.float32)), size, float(np.clip(lag, 0.0, 0.9)), 1.0 / len(frames))
 
 
