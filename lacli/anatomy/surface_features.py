@@ -11,20 +11,15 @@ import numpy as np
 
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.contracts.bundle import Bundle
-from lacli.contracts.labels import ENDO, PLANES, REGIONS
+from lacli.contracts.labels import ENDO, REGIONS
 from lacli.geometry.quadrature import area_vectors, at_quadrature, enclosed_volume_ml, tangents
 
 _FLAT = 1e-12
 
 
-def cavity_faces(bundle: Bundle) -> IntArray:
-    """Triangles (t, 3 or 6) of endocardium and valve planes, one closed surface; normals out of the wall, into the cavity."""
-    return bundle.triangles[(bundle.tags == ENDO) | np.isin(bundle.tags, list(PLANES.values()))]
-
-
 def cavity_volume_ml(bundle: Bundle, points: FloatArray) -> float:
     """Volume inside endocardium and valve planes, mL; points (n, 3) mm, curved triangles integrated exactly."""
-    return -enclosed_volume_ml(cavity_faces(bundle), points)
+    return -enclosed_volume_ml(bundle.cavity_triangles(), points)
 
 
 def endocardial_regions(bundle: Bundle) -> tuple[IntArray, IntArray]:
@@ -107,7 +102,7 @@ class Endocardium:
             along = share / np.maximum(length, _FLAT)
         # the boundary's normals point out of the wall, into the cavity
         normal = -vector / np.maximum(area, _FLAT)[..., None]
-        return cls(faces, bundle.region[cell], ed, area, normal, alpha, beta, along, cavity_faces(bundle))
+        return cls(faces, bundle.region[cell], ed, area, normal, alpha, beta, along, bundle.cavity_triangles())
 
     def features(self, points: FloatArray) -> dict[str, float]:
         """All features of a deformed state (n, 3) mm, of contracts.features' table: ``volume_ml``, ``d_``, ``n_``, ``a_`` and

@@ -11,11 +11,14 @@ from rich.text import Text
 
 from lacli.base.errors import SimulationError, UsageError
 from lacli.cli.console import err, fail, out, print_json, print_table
-from lacli.contracts.identity import run_key
-from lacli.contracts.scene import Scene, load_scene
+from lacli.cli.scenes import read_scene
+from lacli.contracts.identity import Identity, file_digest, identify, run_key
+from lacli.contracts.scene import Scene
 from lacli.mechanics.store import find_run, list_runs
 
 _UNITS = {"_ml": "mL", "_mm": "mm", "_s": "s", "_mb": "MB", "_mmhg": "mmHg", "_kpa": "kPa"}
+
+_DRAWN = "figures.json"  # beside the pictures: what they were drawn from
 
 
 def command(
@@ -52,7 +55,7 @@ def command(
         _read(read, as_json)
         return
     assert scene_file is not None
-    scene = load_scene(scene_file, overrides or [])
+    scene = read_scene(scene_file, overrides)
     if write is not None:
         _write(scene, write, as_json)
         return
@@ -63,7 +66,7 @@ def command(
     pictures: list[Path] = []
     trouble = ""
     if figures and result.status == "done":
-        pictures, trouble = _pictures(result.folder)
+        pictures, trouble = _pictures(result)
     if result.status != "done":
         _show_failure(result)
     if as_json:
@@ -126,14 +129,28 @@ def _rerun(folder: Path, as_json: bool) -> None:
     print_table("Stored, and run again", ["quantity", "stored", "again", "difference", "unit"], rows)
 
 
-def _pictures(folder: Path) -> tuple[list[Path], str]:
-    from lacli.report.simulation_figures import SHAPES, TRANSIENTS, draw_apart
+def _pictures(result: Any) -> tuple[list[Path], str]:
+    """Pictures of the run: those there are, if they were drawn from these very results, else drawn now; and what went wrong."""
+    from lacli.contracts.identity import read_identity, write_identity
+    from lacli.mechanics.store import StoredRun, check_products
+    from lacli.report.simulation_figures import SHAPES, SOURCES, TRANSIENTS, draw_apart
 
+    folder = result.folder
     there = [folder / name for name in (TRANSIENTS, SHAPES) if (folder / name).is_file()]
-    if len(there) == 2:
+    sources = {name: digest for name, digest in result.manifest.get("sha256", {}).items() if name in SOURCES}
+    if len(there) == 2 and read_identity(folder / _DRAWN) == _drawing(sources, there):
         return there, ""
+    check_products(StoredRun(result.key, folder, result.manifest), sources)
     with err.status("drawing"):
-        return draw_apart(folder)
+        drawn, trouble = draw_apart(folder)
+    if not trouble:
+        write_identity(folder / _DRAWN, _drawing(sources, [path for path in drawn if path.is_file()]))
+    return drawn, trouble
+
+
+def _drawing(sources: dict[str, str], pictures: list[Path]) -> Identity:
+    """What pictures were drawn from, and what they are."""
+    return identify("figures", sources=sources, pictures={path.name: file_digest(path) for path in pictures})
 
 
 def _errors(features: dict[str, Any]) -> dict[str, float]:

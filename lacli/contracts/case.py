@@ -15,7 +15,8 @@ from lacli.contracts.scene import Scene
 
 @dataclass(frozen=True)
 class Phase:
-    """A stretch of the load: pressures in kPa, times as shares of the cycle; ``file`` names the state at its end."""
+    """A stretch of the load: pressures in kPa, times as shares of the cycle; ``file`` names the state at its end, ``by_edp`` and
+    ``by_esp`` are the derivatives of its pressure along EDP and ESP."""
 
     name: str
     file: str
@@ -23,6 +24,8 @@ class Phase:
     pressure_to: float
     time_from: float
     time_to: float
+    by_edp: float
+    by_esp: float
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,7 @@ class Plan:
     pericardium: bool
     outward_only: bool
     fibres: bool
+    sensitivities: bool
     phases: tuple[Phase, ...]
 
     def stretches(self) -> tuple[Phase, ...]:

@@ -86,6 +86,7 @@ def render(scene: Scene, plan: Plan, plugin: Path | None) -> str:
         tolerance=numerics.tolerance_mm,
         max_newton=numerics.max_newton,
         settle_ed=numerics.settle_ed,
+        sensitivities=plan.sensitivities and plugin is not None,
         volume_tolerance=numerics.unloading_volume_tolerance,
         max_sweeps=numerics.unloading_max_sweeps,
         vein_spring=scene.loads.vein_spring_kpa_per_mm,

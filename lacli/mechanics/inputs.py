@@ -24,6 +24,12 @@ def pericardium_weight(xi: FloatArray, settings: Pericardium) -> FloatArray:
     return s * s * (3.0 - 2.0 * s)
 
 
+def pericardium_weight_slope(xi: FloatArray, settings: Pericardium) -> FloatArray:
+    """Derivative of ``pericardium_weight`` by ``pth``, 1/unit of xi."""
+    s = np.clip((xi - (settings.pth - settings.ramp)) / settings.ramp, 0.0, 1.0)
+    return -6.0 * s * (1.0 - s) / settings.ramp
+
+
 def write_inputs(case: Case, folder: Path) -> None:
     """Write all files that the case's deck reads into ``folder``."""
     bundle, scene, plan, motion = case.bundle, case.scene, case.plan, case.motion
@@ -48,6 +54,9 @@ def write_inputs(case: Case, folder: Path) -> None:
         weight = pericardium_weight(bundle.pericardium_coordinate, scene.pericardium)[bundle.triangles[:, :3]]
         touched = epi & (weight > 0).any(axis=1)
         write_faces("pericardium.txt", touched, weight[touched])
+        if plan.sensitivities:
+            slope = pericardium_weight_slope(bundle.pericardium_coordinate, scene.pericardium)[bundle.triangles[:, :3]]
+            write_arrays(folder / "pericardium_slope.txt", slope[touched])
     if plan.moving:
         assert motion is not None
         spline = annulus_spline(motion)

@@ -205,5 +205,5 @@ def keep_last_state(case: Case, folder: Path) -> None:
 
 def tidy(folder: Path) -> None:
     """Remove the deck's inputs and raw states: they are written again from the scene, what is in them is in ``fields``."""
-    for file in [*folder.glob("*.txt"), *folder.glob("*.txt.part"), folder / "wall.mesh"]:
+    for file in [*folder.glob("*.txt"), *folder.glob("*.txt.part"), *folder.glob("*.rates"), folder / "wall.mesh"]:
         file.unlink(missing_ok=True)

@@ -14,11 +14,11 @@ from lacli.contracts.case import Case
 from lacli.contracts.identity import run_key
 from lacli.contracts.scene import Scene, dump_scene, load_scene
 from lacli.freefem import program as freefem
-from lacli.mechanics import deck, results
+from lacli.mechanics import deck, results, sensitivities
 from lacli.mechanics.accuracy import known_errors
 from lacli.mechanics.deck import Deck, OnProgress
 from lacli.mechanics.plan import prepare
-from lacli.mechanics.store import OpenRun, StoredRun, open_run
+from lacli.mechanics.store import OpenRun, StoredRun, check_products, open_run
 
 _WRITTEN = "deck.json"  # the key of a deck that is run by hand
 _PRODUCTS = ("scene.toml", deck.SCRIPT, "features.json", "transients.csv")
@@ -48,11 +48,14 @@ def run_scene(scene: Scene, root: Path, on_progress: OnProgress | None = None) -
             written = deck.write(case, run.folder)
             _keep(run, case, written, deck.run(written, scene.numerics.timeout_s, on_progress))
         assert run.stored is not None
-        return _result(run.stored)
+        return _result(run.stored, scene)
 
 
-def _result(stored: StoredRun) -> RunResult:
-    features = stored.features() if stored.status == "done" else {}
+def _result(stored: StoredRun, scene: Scene) -> RunResult:
+    features: dict[str, Any] = dict(stored.features()) if stored.status == "done" else {}
+    # looked up now, not kept with the run: they may have been measured since
+    if features and (errors := known_errors(scene)):
+        features["discretisation_error"] = errors
     return RunResult(stored.key, stored.folder, stored.status, stored.kind, stored.message, features, stored.manifest)
 
 
@@ -70,23 +73,26 @@ def _keep(run: OpenRun, case: Case, written: Deck, outcome: freefem.Outcome) -> 
         run.finish("failed", kind=outcome.kind, message=outcome.message, **usage)
         return
     features, products = collect(case, run.folder, cpu_s=outcome.cpu_s, peak_memory_mb=outcome.peak_memory_mb)
+    if "sensitivities" in features:
+        usage["sensitivities"] = features["sensitivities"]
     results.tidy(run.folder)
     run.finish("done", products=products, newton_iterations=features["newton_iterations"], **usage)
 
 
 def collect(case: Case, folder: Path, **cost: float) -> tuple[dict[str, Any], list[str]]:
-    """Turn the raw results of a deck that has run in ``folder`` into ``features.json``, ``transients.csv`` and fields.
+    """Turn the raw results of a deck that has run in ``folder`` into ``features.json``, tables and fields.
 
     cost: cpu_s and peak_memory_mb, where they are known. Gives the features and the products' names.
     Raises SimulationError where FreeFEM's results cannot be read.
     """
     found = results.read(case, folder)
     features = results.features(case, found) | cost
-    if errors := known_errors(case.scene):
-        features["discretisation_error"] = errors
+    products = [*_PRODUCTS, *sensitivities.write(case, found, folder)]
+    if said := sensitivities.statement(case, found):
+        features["sensitivities"] = said
     write_json(folder / "features.json", features)
     results.transients(case, found).to_csv(folder / "transients.csv", index=False)
-    return features, [*_PRODUCTS, *results.write_fields(case, found, folder)]
+    return features, [*products, *results.write_fields(case, found, folder)]
 
 
 def write_by_hand(scene: Scene, folder: Path) -> Path:
@@ -126,7 +132,10 @@ def rerun(folder: Path, on_progress: OnProgress | None = None) -> tuple[dict[str
     Nothing is kept of the second run. Raises as ``read_by_hand`` does, and SimulationError where the second run fails.
     """
     scene = _scene_of(folder, "manifest.json")
-    before = json.loads((folder / "features.json").read_text(encoding="utf-8")) if (folder / "features.json").is_file() else {}
+    manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+    stored = StoredRun(manifest["key"], folder, manifest)
+    check_products(stored, manifest.get("products", {}))
+    before = stored.features()
     case = prepare(scene)
     with tempfile.TemporaryDirectory(prefix=".rerun-", dir=folder.parent) as name:
         place = Path(name)
