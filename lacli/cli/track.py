@@ -60,10 +60,12 @@ def command(
 
     Example: lacli track ct/phase_*.nii.gz --bundle anatomy --out motion --times 0,10,20,30,40,50,60,70,80,90
     """
-    from lacli.base.files import check_folder
+    from lacli.base.files import check_folder, replacing
     from lacli.contracts.bundle import load
     from lacli.motion import frames as framing
-    from lacli.motion.patient import Settings, put, scratch, track
+    from lacli.motion.frames import Source
+    from lacli.motion.given import displacement
+    from lacli.motion.patient import Settings, from_given, put, scratch, track
     from lacli.motion.store import write_all
     from lacli.motion.targets import measured
     from lacli.motion.targets import published as the_seven
@@ -72,29 +74,69 @@ def command(
     settings.check()
     wanted = None if at is None else _numbers(at, "--at")
     given = None if times is None else _numbers(times, "--times")
+    stated = _stated(motion, error_mm)
+    if axes not in ("lps", "ras"):
+        raise UsageError(f"--axes {axes}: lps (ITK) or ras.")
     check_folder(folder)
     anatomy = load(bundle)
-    sources = framing.find(images)
-    moments, origin = framing.cycle_times(sources, given)
     with progress() as bar:
         task = bar.add_task("tracking", total=1)
 
         def monitor(what: str, done: int, total: int) -> None:
             bar.update(task, description=what, completed=done, total=total)
 
-        tracked = track(anatomy, sources, moments, settings, folder / "registration", monitor)
+        if stated is None:
+            sources = framing.find(images)
+            moments, origin = framing.cycle_times(sources, given)
+            names = [str(source) for source in sources]
+            tracked = track(anatomy, sources, moments, settings, folder / "registration", monitor)
+        else:
+            moved = displacement(anatomy, motion, images, axes, label, monitor)
+            moments, origin = framing.cycle_times([Source(Path(f"frame {i}")) for i in range(len(moved))], given)
+            names = [str(path) for path in images]
+            tracked = from_given(anatomy, moments, moved, stated, motion)
+        assert tracked.ed_residual is not None
         found = (
             the_seven(tracked.course, tracked.ed_residual.whole) if published else measured(tracked.course, tracked.model, wanted)
         )
-        notes = {"bundle": str(bundle), "frames": [str(s) for s in sources], "times_from": origin, "published": published}
+        notes = {"bundle": str(bundle), "frames": names, "times_from": origin, "published": published}
         partial = scratch(folder)
         try:
             info = write_all(partial, anatomy, tracked, found, notes)
             put(partial, folder)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
-    _ = (motion, axes, label, error_mm, update_bundle, figures)
+        if update_bundle:
+            with replacing(bundle / "motion.npz") as temporary:
+                shutil.copyfile(folder / "motion.npz", temporary)
     _say(info, tracked, found, folder, as_json)
+    if figures:
+        _draw(folder, bundle, [str(p) for p in images] if stated is None else [])
+
+
+def _draw(folder: Path, bundle: Path, images: list[str]) -> None:
+    """Pictures are extras: what goes wrong with them is said, and is no failure."""
+    from lacli.report.motion_figures import draw_apart
+
+    drawn, trouble = draw_apart(folder, bundle, images)
+    if drawn:
+        err.print(f"pictures: {', '.join(path.name for path in drawn)}", highlight=False)
+    if trouble:
+        err.print(f"some pictures could not be drawn: {trouble}", highlight=False)
+
+
+def _stated(motion: str, error_mm: str | None) -> tuple[float, float] | None:
+    """The error of a given motion; None where images are tracked and it is measured."""
+    if motion == "images":
+        if error_mm is not None:
+            raise UsageError("--error-mm is for a given motion; of images that are tracked here the error is measured.")
+        return None
+    if error_mm is None:
+        raise UsageError(f"--motion {motion} needs --error-mm NORMAL,TANGENTIAL (sd, mm): nobody but its maker knows its error.")
+    values = _numbers(error_mm, "--error-mm")
+    if len(values) != 2 or not all(0.0 < value < 20.0 for value in values):
+        raise UsageError(f"--error-mm {error_mm}: two numbers above 0, sd in mm along the normal and tangential (0.3,0.6).")
+    return values[0], values[1]
 
 
 def _numbers(text: str, option: str) -> list[float]:

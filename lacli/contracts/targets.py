@@ -13,15 +13,17 @@ import tomli_w
 
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import TableError
+from lacli.contracts.covariance import read_covariance
 
 
 @dataclass(frozen=True)
 class Targets:
-    """names (p,), mean (p,) and sd (p,) in the features' own units."""
+    """names (p,), mean (p,) and sd (p,) in the features' own units; covariance (p, p) of the errors, None: independent."""
 
     names: tuple[str, ...]
     mean: FloatArray
     sd: FloatArray
+    covariance: FloatArray | None = None
 
     def select(self, names: Sequence[str]) -> Targets:
         """The targets in the order of ``names``; TableError if one is missing."""
@@ -29,18 +31,23 @@ class Targets:
         if missing:
             raise TableError(f"targets: no value for {', '.join(missing)}; there are {', '.join(self.names)}.")
         j = [self.names.index(name) for name in names]
-        return Targets(tuple(names), self.mean[j], self.sd[j])
+        covariance = None if self.covariance is None else self.covariance[np.ix_(j, j)]
+        return Targets(tuple(names), self.mean[j], self.sd[j], covariance)
 
     def widened(self, error_sd: FloatArray) -> Targets:
         """The targets with the simulator's own error (p,), one standard deviation, added to their uncertainty: what a run
         says differs from the truth by both."""
-        return Targets(self.names, self.mean, np.hypot(self.sd, error_sd)) if error_sd.any() else self
+        if not error_sd.any():
+            return self
+        covariance = None if self.covariance is None else self.covariance + np.diag(error_sd**2)
+        return Targets(self.names, self.mean, np.hypot(self.sd, error_sd), covariance)
 
 
 def read_targets(path: Path) -> Targets:
     """Read ``targets.toml``: a table for each feature with ``mean`` and ``sd``, at the top or under ``[targets]``.
 
-    Example: ``[targets.esv_ml]``, ``mean = 92.0``, ``sd = 4.6``. Raises TableError with the key at fault.
+    Example: ``[targets.esv_ml]``, ``mean = 92.0``, ``sd = 4.6``. ``covariance = "file.npz"`` at the top names the covariance of the
+    errors, in the same folder (contracts.covariance). Raises TableError with the key at fault.
     """
     path = Path(path)
     if not path.is_file():
@@ -70,7 +77,9 @@ def read_targets(path: Path) -> Targets:
         sds.append(values[1])
     if not names:
         raise TableError(f"{path}: no target in it. Write a table for each feature with mean and sd.")
-    return Targets(tuple(names), np.array(means), np.array(sds))
+    file = document.get("covariance")
+    covariance = None if file is None else read_covariance(path, file, names, np.array(sds))
+    return Targets(tuple(names), np.array(means), np.array(sds), covariance)
 
 
 def write_targets(path: Path, targets: Targets) -> None:

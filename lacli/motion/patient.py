@@ -140,3 +140,22 @@ def put(partial: Path, folder: Path) -> None:
             shutil.rmtree(goal)
         item.replace(goal)
     partial.rmdir()
+
+
+def from_given(bundle: Bundle, times: FloatArray, displacement: FloatArray, error_mm: tuple[float, float], how: str) -> Tracked:
+    """A motion tracked elsewhere, displacement (f, n, 3) mm of the bundle's points, its error as stated (normal, tangential), mm."""
+    surface = Endocardium.of(bundle)
+    closure = None
+    if times[-1] >= 1.0:
+        left = displacement[-1]
+        closure = float(np.linalg.norm(left, axis=1).mean())
+        displacement, times = (displacement - times[:, None, None] * left)[:-1], times[:-1]
+    stated = uncertainty.stated_error(*error_mm)
+    model = uncertainty.stated_model(surface, *error_mm)
+    info = {
+        "engine": f"given {how}",
+        "error": "stated, not measured",
+        "error_normal_mm": error_mm[0],
+        "error_tangential_mm": error_mm[1],
+    }
+    return Tracked(Course.of(surface, times, displacement), model, [], stated, closure, info)

@@ -11,10 +11,11 @@ import numpy as np
 import pandas as pd
 import tomli_w
 
-from lacli.anatomy.surface_features import Endocardium, cavity_faces
+from lacli.anatomy.surface_features import Endocardium
 from lacli.base.arrays import FloatArray
 from lacli.base.files import replacing, write_json, write_text
 from lacli.contracts.bundle import Bundle
+from lacli.contracts.covariance import write_covariance
 from lacli.contracts.features import parse
 from lacli.geometry.subdivision import straight
 from lacli.motion.annulus import annulus_points
@@ -35,7 +36,7 @@ def write_series(folder: Path, bundle: Bundle, surface: Endocardium, times: Floa
     import pyvista as pv
 
     folder.mkdir(parents=True, exist_ok=True)
-    faces = cavity_faces(bundle)
+    faces = bundle.cavity_triangles()
     # 6-node faces are cut in four, normals turned out of the cavity
     triangles = straight(faces)[:, ::-1]
     used, local = np.unique(triangles, return_inverse=True)
@@ -78,7 +79,7 @@ def write_all(folder: Path, bundle: Bundle, tracked: Tracked, found: Covaried, n
     phases = course.phases
     ids = annulus_points(bundle)
     normal, tangential = _mean_error(tracked)
-    endo = np.unique(cavity_faces(bundle))
+    endo = np.unique(bundle.cavity_triangles())
     # one file: what a simulation needs of the annulus, and beside it what was tracked and how well
     with replacing(folder / "motion.npz") as temporary:
         np.savez_compressed(
@@ -114,13 +115,14 @@ def write_covaried(folder: Path, found: Covaried, phases: Phases, engine: str) -
         "covariance": COVARIANCE,
         "targets": tables,
     }
-    with replacing(folder / COVARIANCE) as temporary:
-        np.savez_compressed(temporary, names=np.array(found.targets.names), covariance=found.covariance)
+    write_covariance(folder / COVARIANCE, found.targets.names, found.covariance)
     write_text(folder / "targets.toml", tomli_w.dumps(document))
 
 
 def _mean_error(tracked: Tracked) -> tuple[float, float]:
-    """Means over the known motions, mm; with the factor by which known motions are easier."""
+    """Means over the known motions, mm, with the factor by which known motions are easier; where none was made, as stated."""
+    if not tracked.known:
+        return float(tracked.info["error_normal_mm"]), float(tracked.info["error_tangential_mm"])
     normal = [error.normal["global"] for _, error in tracked.known]
     tangential = [error.tangential["global"] for _, error in tracked.known]
     return SMOOTHER * float(np.mean(normal)), SMOOTHER * float(np.mean(tangential))
@@ -129,7 +131,7 @@ def _mean_error(tracked: Tracked) -> tuple[float, float]:
 def _errors(tracked: Tracked) -> dict[str, Any]:
     return {
         "known_motion": [{"time": time, **asdict(error)} for time, error in tracked.known],
-        "known_motion_factor": SMOOTHER,
+        "known_motion_factor": SMOOTHER if tracked.known else None,
         "ed_residual": None if tracked.ed_residual is None else asdict(tracked.ed_residual),
         "closure_mm": tracked.closure_mm,
         "correlation_between_frames": tracked.model.between,

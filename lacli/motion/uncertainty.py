@@ -187,3 +187,33 @@ def nearest_correlation(matrix: FloatArray) -> FloatArray:
     kept = (vector * np.maximum(value, 1e-3)) @ vector.T
     size = np.sqrt(np.diag(kept))
     return kept / np.outer(size, size)
+
+
+def stated_model(surface: Endocardium, normal_mm: float, tangential_mm: float) -> ErrorModel:
+    """For a motion whose error is stated, not measured: sd along the normal and along each tangent, mm, taken as one shift of a whole
+    region (the worst case for its means), independent between regions, half shared between frames.
+
+    Strains err by the tangential sd at both ends of a region, over the root of its area.
+    """
+    keys = tuple(surface.features(surface.ed))
+    area = {name: float(surface.area[surface.region == number].sum()) for name, number in REGIONS.items()}
+    whole = float(surface.area.sum())
+    sd = []
+    for key in keys:
+        kind, region = kind_of(key)
+        if kind == "volume":
+            sd.append(normal_mm * whole / 1000.0)  # mm3 -> mL
+        elif kind.endswith("strain"):
+            sd.append(2.0**0.5 * tangential_mm / np.sqrt(area[region]) * (2.0 if kind == "area_strain" else 1.0))
+        else:
+            sd.append(
+                {"n": normal_mm, "a": tangential_mm, "b": tangential_mm}.get(kind, float(np.hypot(normal_mm, tangential_mm)))
+            )
+    return ErrorModel(keys, np.array(sd), np.eye(len(keys)), 0.5, 0)
+
+
+def stated_error(normal_mm: float, tangential_mm: float) -> SurfaceError:
+    """The same error everywhere."""
+    names = ("global", *REGIONS)
+    both = float(np.hypot(normal_mm, tangential_mm))
+    return SurfaceError(dict.fromkeys(names, both), dict.fromkeys(names, normal_mm), dict.fromkeys(names, tangential_mm))
