@@ -162,7 +162,7 @@ def _look(plotter: Any, mesh: Any, side: int) -> None:
     """Axes are LPS: y to the back, z to the head."""
     centre = np.asarray(mesh.center)
     plotter.camera_position = [tuple(centre + [0.0, side * 260.0, 0.0]), tuple(centre), (0.0, 0.0, 1.0)]
-    plotter.camera.zoom(1.15)
+    plotter.camera.zoom(1.7)
 
 
 def animation(folder: Path, picture: Path) -> Path:
@@ -180,7 +180,7 @@ def animation(folder: Path, picture: Path) -> Path:
     plotter = pv.Plotter(off_screen=True, window_size=(_PIXELS, _PIXELS))
     plotter.set_background("white")
     plotter.add_mesh(mesh, scalars="|u|, mm", cmap="viridis", clim=(0.0, most), smooth_shading=False)
-    plotter.add_mesh(meshes[0], style="wireframe", color="0.6", opacity=0.12)
+    plotter.add_mesh(meshes[0], style="wireframe", color="gray", opacity=0.12)
     _look(plotter, meshes[0], -1)
     shots = []
     for moment in np.linspace(0.0, 1.0, 21)[:-1]:
