@@ -32,7 +32,8 @@ def patient(folder: Path, seed: int, arguments: argparse.Namespace) -> dict[str,
     """Write, track and compare one patient."""
     if not (folder / "gated.json").is_file():
         atrium = {
-            "volume_ml": None, "thickness_mm": 2.0, "cell_size_mm": arguments.cell_size_mm, "order": arguments.order, "descent_mm": 8.0,
+            "volume_ml": None, "thickness_mm": 2.0, "cell_size_mm": arguments.cell_size_mm, "order": arguments.order,
+            "descent_mm": 8.0,
         }  # fmt: skip
         acquisition = Acquisition(arguments.frames, tuple(arguments.voxel_mm))
         write_case(folder, seed, atrium, draw_parameters(seed), acquisition, 65.0, lambda *_: None)
@@ -66,7 +67,8 @@ def errors(tracked: Tracked, point: Any, positions: Any, surface: Endocardium) -
     known = float(np.mean([k.whole["global"] for _, k in tracked.known]))
     return {
         "es": means[es].whole["global"], "es_normal": means[es].normal["global"], "es_tangential": means[es].tangential["global"],
-        "worst": max(m.whole["global"] for m in means), "true_over_known": float(np.mean([m.whole["global"] for m in means[1:]])) / known,
+        "worst": max(m.whole["global"] for m in means),
+        "true_over_known": float(np.mean([m.whole["global"] for m in means[1:]])) / known,
     }  # fmt: skip
 
 

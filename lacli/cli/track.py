@@ -17,7 +17,7 @@ def command(
         list[Path],
         typer.Argument(
             metavar="IMAGES...",
-            help="Frames in order, end-diastole first: files (.nrrd .nii .nii.gz .mha), DICOM folders, a 4-D file, a folder of them.",
+            help="Frames in order, end-diastole first: files (.nrrd .nii .mha), DICOM folders, a 4-D file, a folder of them.",
         ),
     ],
     bundle: Annotated[Path, typer.Option("--bundle", help="Anatomy bundle made from the end-diastolic frame.")],

@@ -24,7 +24,8 @@ def write_covariance(path: Path, names: Sequence[str], covariance: FloatArray) -
 def read_covariance(targets: Path, file: object, names: Sequence[str], sd: FloatArray) -> FloatArray:
     """(p, p) in the order of ``names``; ``file`` is relative to the folder of ``targets``.
 
-    Raises TableError where it is missing, damaged, not of these targets, not positive definite, or its diagonal is not sd squared.
+    Raises TableError where it is missing, damaged, not of these targets, not positive definite, or its
+    diagonal is not sd squared.
     """
     if not isinstance(file, str) or not file or Path(file).name != file:
         raise TableError(f"{targets}: covariance must name a file in the same folder, found {file!r}.")

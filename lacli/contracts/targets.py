@@ -46,8 +46,8 @@ class Targets:
 def read_targets(path: Path) -> Targets:
     """Read ``targets.toml``: a table for each feature with ``mean`` and ``sd``, at the top or under ``[targets]``.
 
-    Example: ``[targets.esv_ml]``, ``mean = 92.0``, ``sd = 4.6``. ``covariance = "file.npz"`` at the top names the covariance of the
-    errors, in the same folder (contracts.covariance). Raises TableError with the key at fault.
+    Example: ``[targets.esv_ml]``, ``mean = 92.0``, ``sd = 4.6``. ``covariance = "file.npz"`` at the top names the covariance of
+    the errors, in the same folder (contracts.covariance). Raises TableError with the key at fault.
     """
     path = Path(path)
     if not path.is_file():

@@ -27,7 +27,7 @@ def gaussian_log_likelihood(mean: FloatArray, variance: FloatArray, targets: Tar
 
 
 def _correlated_log_likelihood(mean: FloatArray, variance: FloatArray, target: FloatArray, covariance: FloatArray) -> FloatArray:
-    """log L (m,) = -1/2 [r' S^-1 r + log det S + p log 2 pi], S the covariance (p, p) with the emulators' variance on its diagonal."""
+    """log L (m,) = -1/2 [r' S^-1 r + log det S + p log 2 pi], S the covariance (p, p) plus the emulators' variance."""
     p = len(target)
     result = np.empty(len(mean))
     diagonal = np.arange(p)

@@ -27,7 +27,7 @@ FEWEST, MOST = 3, 200
 
 @dataclass(frozen=True)
 class Source:
-    """Where a frame is: a file, a folder of one DICOM series, or frame ``index`` of a 4-D file; ``time`` if its header has one."""
+    """Where a frame is: a file, one DICOM folder, frame ``index`` of a 4-D file; ``time`` where its header has one."""
 
     path: Path
     index: int | None = None
@@ -231,7 +231,7 @@ def check_hounsfield(image: Image, where: Source) -> None:
         raise InputError(f"{where}: every voxel is {values[0]:g}; the frame is empty.")
     if len(values) <= _LABELS_AT_MOST and np.array_equal(values, np.round(values)):
         raise InputError(
-            f"{where}: has only {len(values)} different values; is it a label map? Tracking needs HU (label maps: --motion labels)."
+            f"{where}: has only {len(values)} different values; is it a label map? Tracking needs HU (labels: --motion labels)."
         )
 
 
@@ -245,15 +245,15 @@ def check_is_bundles_image(ed: Image, surface: Endocardium, where: Source) -> fl
     inside = ((index >= 0) & (index <= np.array(ed.array.shape[::-1]) - 1)).all(axis=1)
     if inside.mean() < 0.98:
         raise InputError(
-            f"{where}: the bundle's atrium lies outside ({100 * inside.mean():.0f} % of it inside). Is this the image the bundle was "
-            "made from (LPS mm)?"
+            f"{where}: the bundle's atrium lies outside ({100 * inside.mean():.0f} % of it inside). Is this the image the bundle "
+            "was made from (LPS mm)?"
         )
     within, beyond = (sample(ed, points + shift * normal) for shift in (-_INSIDE_MM, _OUTSIDE_MM))
     share = float((within > beyond + 30.0).mean())
     if share < 0.6:
         raise InputError(
-            f"{where}: only {100 * share:.0f} % of the bundle's endocardium has blood inside and darker tissue outside; this is not "
-            "the image the bundle was made from, or not its end-diastole. Give that frame first."
+            f"{where}: only {100 * share:.0f} % of the bundle's endocardium has blood inside and darker tissue outside; this is "
+            "not the image the bundle was made from, or not its end-diastole. Give that frame first."
         )
     return share
 
@@ -277,8 +277,8 @@ def sample(image: Image, points: FloatArray) -> FloatArray:
 def around(image: Image, points: FloatArray, work_mm: float = WORK_MM) -> Image:
     """The volume cropped to the points (n, 3) and 25 mm around, in voxels of ``work_mm``, float32.
 
-    Finer voxels are averaged (less noise, and the engine's time is that of its voxels), coarser ones kept; a grid that is already of
-    about that size is only cropped.
+    Finer voxels are averaged (less noise, and the engine's time is that of its voxels), coarser ones kept; a grid that is
+    already of about that size is only cropped.
     """
     import SimpleITK as sitk
 

@@ -1,4 +1,4 @@
-"""Motion that somebody else tracked: displacement fields, surfaces frame by frame, or label maps, as displacement of the bundle."""
+"""Motion that somebody else tracked: displacement fields, surfaces frame by frame, label maps; as displacement of the bundle."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def displacement(bundle: Bundle, kind: str, files: Sequence[Path], frame: str, l
     """(f, n, 3) mm of the bundle's points, the first frame 0.
 
     fields: one a frame after end-diastole, of end-diastole's points (ITK's direction). surfaces: the same points in every frame,
-    end-diastole first. other-surfaces, labels: every frame's own points, end-diastole first; matched to the bundle's endocardium by
-    closest points that keep smooth, which tells the motion along the normal well and the tangential motion hardly.
+    end-diastole first. other-surfaces, labels: every frame's own points, end-diastole first; matched to the bundle's endocardium
+    by closest points that keep smooth, which tells the motion along the normal well and the tangential motion hardly.
     """
     if kind not in KINDS:
         raise UsageError(f"--motion {kind}: there are images, {', '.join(KINDS)}.")
@@ -94,8 +94,8 @@ def _check_near(surface: Endocardium, points: FloatArray, path: Path) -> None:
     distance = cKDTree(points).query(surface.ed[nodes])[0]
     if float(np.median(distance)) > FARTHEST_MM:
         raise InputError(
-            f"{path}: lies {np.median(distance):.0f} mm from the bundle's endocardium (median); is it the end-diastole of the same "
-            "patient, in mm, and its axes as --axes says?"
+            f"{path}: lies {np.median(distance):.0f} mm from the bundle's endocardium (median); is it the end-diastole of the "
+            "same patient, in mm, and its axes as --axes says?"
         )
 
 
@@ -124,8 +124,8 @@ def _other_points(
     less, as in non-rigid ICP. What lies between end-diastole's surface and the bundle is not motion and is taken off."""
     nodes = np.unique(surface.faces)
     places = bundle.points[nodes]
-    result = []
-    offset = None
+    result: list[FloatArray] = []
+    offset: FloatArray | None = None
     for number, (points, faces) in enumerate(meshes):
         dense = np.vstack([points, points[faces].mean(axis=1)])
         tree = cKDTree(dense)

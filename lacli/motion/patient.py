@@ -51,7 +51,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Tracked:
-    """The course of the bundle's points, the errors measured, and how. known: per known motion its frame's time and surface error;
+    """The course of the bundle's points, the errors measured, and how. known: its frame's time and surface error for each;
     ed_residual: ED registered to itself with fresh noise (or, ``closure_mm``, to a frame at the end of the cycle)."""
 
     course: Course
@@ -143,7 +143,7 @@ def put(partial: Path, folder: Path) -> None:
 
 
 def from_given(bundle: Bundle, times: FloatArray, displacement: FloatArray, error_mm: tuple[float, float], how: str) -> Tracked:
-    """A motion tracked elsewhere, displacement (f, n, 3) mm of the bundle's points, its error as stated (normal, tangential), mm."""
+    """A motion tracked elsewhere, displacement (f, n, 3) mm of the bundle's points, its error (normal, tangential) as stated."""
     surface = Endocardium.of(bundle)
     closure = None
     if times[-1] >= 1.0:

@@ -30,8 +30,8 @@ COVARIANCE = "targets_covariance.npz"
 def write_series(folder: Path, bundle: Bundle, surface: Endocardium, times: FloatArray, positions: FloatArray) -> Path:
     """One VTP a frame of the cavity's surface and ``series.pvd``, which ParaView opens as an animation.
 
-    positions (f, n, 3) mm of the bundle's points. Point arrays: wall_point (id in the bundle), displacement (3) mm from ED; on the
-    points of the body also its components normal_mm (out of the cavity), alpha_mm, beta_mm along the universal coordinates.
+    positions (f, n, 3) mm of the bundle's points. Point arrays: wall_point (id in the bundle), displacement (3) mm from ED; on
+    the points of the body also its components normal_mm (out of the cavity), alpha_mm, beta_mm along the universal coordinates.
     """
     import pyvista as pv
 
@@ -74,7 +74,7 @@ def nodal_axes(bundle: Bundle, surface: Endocardium) -> dict[str, FloatArray]:
 
 
 def write_all(folder: Path, bundle: Bundle, tracked: Tracked, found: Covaried, notes: Mapping[str, Any]) -> dict[str, Any]:
-    """motion.npz, transients.csv, targets.toml with its covariance, frames/, tracking.json into a new folder; what the last says."""
+    """motion.npz, transients.csv, targets.toml with its covariance, frames/, tracking.json into a folder; what the last says."""
     course = tracked.course
     phases = course.phases
     ids = annulus_points(bundle)

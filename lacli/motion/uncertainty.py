@@ -20,8 +20,8 @@ from lacli.motion.field import Field, pull
 from lacli.motion.tracking import Pair
 
 SEED = 20260420
-# The applied motion is a tracked one, already as smooth as the engine makes it, so the engine finds it more easily than it found the
-# true one: on the synthetic atria of benchmarks/track.py true errors are this many times those of the known motion.
+# The applied motion is a tracked one, already as smooth as the engine makes it, so the engine finds it more easily than it found
+# the true one: on the synthetic atria of benchmarks/track.py true errors are this many times those of the known motion.
 SMOOTHER = 1.35
 _PRIOR_SAMPLES = 8.0
 
@@ -53,8 +53,8 @@ def surface_error(surface: Endocardium, error: FloatArray) -> SurfaceError:
 
 @dataclass(frozen=True)
 class Template:
-    """The patient's end-diastole with little noise: mean of all frames pulled back to it; the noise of one frame, sd (HU), and its
-    correlation over a voxel's step."""
+    """The patient's end-diastole with little noise: mean of all frames pulled back to it; the noise of one frame, sd (HU), and
+    its correlation over a voxel's step."""
 
     image: Image
     noise_hu: float
@@ -146,8 +146,8 @@ def error_model(errors: Sequence[Mapping[str, float]], factor: float = SMOOTHER)
     """From the features' errors in several known motions.
 
     A region's sd is drawn towards that of its kind over all regions, since few motions tell it. Correlations are means over
-    regions and motions for each two kinds, within a region and between two. What frames share is the mean product of one feature's
-    errors in two motions.
+    regions and motions for each two kinds, within a region and between two. What frames share is the mean product of one
+    feature's errors in two motions.
     """
     keys = tuple(errors[0])
     e = factor * np.array([[row[key] for key in keys] for row in errors])
@@ -190,8 +190,8 @@ def nearest_correlation(matrix: FloatArray) -> FloatArray:
 
 
 def stated_model(surface: Endocardium, normal_mm: float, tangential_mm: float) -> ErrorModel:
-    """For a motion whose error is stated, not measured: sd along the normal and along each tangent, mm, taken as one shift of a whole
-    region (the worst case for its means), independent between regions, half shared between frames.
+    """For a motion whose error is stated, not measured: sd along the normal and along each tangent, mm, taken as one shift of a
+    whole region (the worst case for its means), independent between regions, half shared between frames.
 
     Strains err by the tangential sd at both ends of a region, over the root of its area.
     """

@@ -146,7 +146,7 @@ def surfaces(folder: Path, picture: Path) -> Path:
             plotter.add_mesh(
                 copy, scalars=title, cmap=colours, clim=(0.0 if column == 0 else -limit, limit), smooth_shading=True,
                 show_scalar_bar=row == 1,
-                scalar_bar_args={"title": title, "vertical": False, "color": "black", "title_font_size": 22, "label_font_size": 18},
+                scalar_bar_args={"title": title, "vertical": False, "color": "black", "title_font_size": 22},
             )  # fmt: skip
             _look(plotter, mesh, side)
             if column == 0:
@@ -161,7 +161,7 @@ def surfaces(folder: Path, picture: Path) -> Path:
 def _look(plotter: Any, mesh: Any, side: int) -> None:
     """Axes are LPS: y to the back, z to the head."""
     centre = np.asarray(mesh.center)
-    plotter.camera_position = [tuple(centre + [0.0, side * 260.0, 0.0]), tuple(centre), (0.0, 0.0, 1.0)]
+    plotter.camera_position = [tuple(centre + np.array([0.0, side * 260.0, 0.0])), tuple(centre), (0.0, 0.0, 1.0)]
     plotter.camera.zoom(1.7)
 
 

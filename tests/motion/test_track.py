@@ -91,7 +91,7 @@ def test_times_that_do_not_rise_within_a_cycle_are_refused(bad: list[float]) -> 
 
 
 def test_averaging_keeps_places_and_reduces_noise() -> None:
-    """A linear ramp in x stays at its place in coarser voxels; white noise of sd 20 averaged over about 8 voxels falls below 10."""
+    """A linear ramp in x stays at its place in coarser voxels; noise of sd 20 averaged over about 8 voxels falls below 10."""
     rng = np.random.default_rng(0)
     ramp = np.broadcast_to(np.arange(60) * 0.45, (60, 60, 60))
     fine = Image(ramp + rng.normal(0, 20, ramp.shape), np.full(3, 0.45), np.array([3.0, -4.0, 5.0]), np.eye(3))
@@ -174,7 +174,7 @@ def test_the_covariance_is_one_whatever_the_errors(seed: int) -> None:
 
 
 def test_the_error_model_recovers_what_errors_were_drawn_from() -> None:
-    """2000 motions, sd 0.3 with 0.2 of it common to all frames of a patient: here frames are independent, regions correlate by 0.5."""
+    """2000 motions, sd 0.3: frames are independent, regions correlate by 0.5."""
     rng = np.random.default_rng(5)
     keys = ["n_roof_mm", "n_septum_mm", "n_lateral_mm"]
     cov = 0.09 * (0.5 * np.eye(3) + 0.5)
