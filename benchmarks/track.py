@@ -32,7 +32,7 @@ def patient(folder: Path, seed: int, arguments: argparse.Namespace) -> dict[str,
     """Write, track and compare one patient."""
     if not (folder / "gated.json").is_file():
         atrium = {
-            "volume_ml": None, "thickness_mm": 2.0, "cell_size_mm": arguments.cell_size_mm, "order": arguments.order,
+            "volume_ml": arguments.volume_ml, "thickness_mm": 2.0, "cell_size_mm": arguments.cell_size_mm, "order": arguments.order,
             "descent_mm": 8.0,
         }  # fmt: skip
         acquisition = Acquisition(arguments.frames, tuple(arguments.voxel_mm))
@@ -136,6 +136,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=10)
     parser.add_argument("--voxel-mm", type=float, nargs=3, default=(1.0, 1.0, 1.0))
     parser.add_argument("--cell-size-mm", type=float, default=4.0)
+    parser.add_argument("--volume-ml", type=float, help="of every atrium; default: each seed's own")
     parser.add_argument("--order", type=int, default=2)
     parser.add_argument("--engine", default="greedy")
     arguments = parser.parse_args()
