@@ -66,7 +66,7 @@ def command(
     from lacli.motion.frames import Source
     from lacli.motion.given import displacement
     from lacli.motion.patient import Settings, from_given, put, scratch, track
-    from lacli.motion.store import write_all
+    from lacli.motion.store import check_replaceable, write_all
     from lacli.motion.targets import measured
     from lacli.motion.targets import published as the_seven
 
@@ -78,6 +78,7 @@ def command(
     if axes not in ("lps", "ras"):
         raise UsageError(f"--axes {axes}: lps (ITK) or ras.")
     check_folder(folder)
+    check_replaceable(folder)
     anatomy = load(bundle)
     with progress() as bar:
         task = bar.add_task("tracking", total=1)

@@ -13,6 +13,7 @@ import tomli_w
 
 from lacli.anatomy.surface_features import Endocardium
 from lacli.base.arrays import FloatArray
+from lacli.base.errors import StorageError
 from lacli.base.files import replacing, write_json, write_text
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.covariance import write_covariance
@@ -25,6 +26,7 @@ from lacli.motion.targets import Covaried
 from lacli.motion.uncertainty import SMOOTHER
 
 COVARIANCE = "targets_covariance.npz"
+_PRODUCTS = ("motion.npz", "transients.csv", "targets.toml", COVARIANCE, "frames")
 
 
 def write_series(folder: Path, bundle: Bundle, surface: Endocardium, times: FloatArray, positions: FloatArray) -> Path:
@@ -71,6 +73,13 @@ def nodal_axes(bundle: Bundle, surface: Endocardium) -> dict[str, FloatArray]:
         size = np.linalg.norm(total, axis=1, keepdims=True)
         result[name] = np.divide(total, size, out=np.zeros_like(total), where=size > 0)
     return result
+
+
+def check_replaceable(folder: Path) -> None:
+    """Before the work: StorageError where results would replace files in the folder that tracking did not write."""
+    in_the_way = [name for name in _PRODUCTS if (folder / name).exists()]
+    if in_the_way and not (folder / "tracking.json").is_file():
+        raise StorageError(f"{folder}: holds {', '.join(in_the_way)} that `lacli track` did not write; choose another --out.")
 
 
 def write_all(folder: Path, bundle: Bundle, tracked: Tracked, found: Covaried, notes: Mapping[str, Any]) -> dict[str, Any]:

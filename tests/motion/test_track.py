@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from lacli.anatomy.inputs.image import Image, write
 from lacli.anatomy.surface_features import Endocardium
 from lacli.base.arrays import FloatArray
-from lacli.base.errors import InputError, LacliError, TableError, UsageError
+from lacli.base.errors import InputError, LacliError, StorageError, TableError, UsageError
 from lacli.cli.main import build
 from lacli.contracts.bundle import Bundle, save
 from lacli.contracts.motion import load_motion
@@ -415,6 +415,45 @@ def test_bad_input_gets_one_message_and_leaves_nothing(bundle: Bundle, folder: P
         run(*map(str, paths), "--bundle", str(folder / "bundle"), "--out", str(folder / "m"), *more)
     assert not (folder / "m").exists()
     assert not [p for p in folder.iterdir() if p.name.startswith(".")]
+
+
+def test_a_folder_with_frames_of_ones_own_is_not_replaced(bundle: Bundle, folder: Path) -> None:
+    """A synthetic patient has its CT in frames/, where tracking would put its surfaces."""
+    (folder / "p" / "frames").mkdir(parents=True)
+    paths = frames_of(bundle, folder / "p" / "frames")
+    with pytest.raises(StorageError, match="holds frames that"):
+        run(str(folder / "p" / "frames"), "--bundle", str(folder / "bundle"), "--out", str(folder / "p"))
+    assert all(path.is_file() for path in paths)
+
+
+def test_dicom_series_are_frames_with_the_phases_of_their_headers(tmp_path: Path) -> None:
+    import SimpleITK as sitk
+
+    rng = np.random.default_rng(0)
+    volumes = rng.integers(-200, 500, (3, 4, 8, 8)).astype(np.int16)
+    for number, (volume, phase) in enumerate(zip(volumes, ("0", "40", "70"), strict=True)):
+        folder = tmp_path / f"phase{number}"
+        folder.mkdir()
+        for k, plane in enumerate(volume):
+            image = sitk.GetImageFromArray(plane[None])
+            image.SetSpacing([0.5, 0.5, 1.5])
+            tags = {
+                "0020|000e": f"1.2.3.{number}", "0020|000d": "1.2.3", "0008|0060": "CT", "0020|0013": str(k),
+                "0020|0032": f"10\\20\\{1.5 * k}", "0020|0037": "1\\0\\0\\0\\1\\0", "0018|0050": "1.5",
+                "0018|1060": str(10.0 * float(phase)), "0018|1062": "1000",
+            }  # fmt: skip
+            for tag, value in tags.items():
+                image.SetMetaData(tag, value)
+            writer = sitk.ImageFileWriter()
+            writer.KeepOriginalImageUIDOn()
+            writer.SetFileName(str(folder / f"{k}.dcm"))
+            writer.Execute(image[:, :, 0] if image.GetDimension() == 2 else image)
+    sources = framing.find([tmp_path])
+    times, origin = framing.cycle_times(sources, None)
+    assert times == pytest.approx([0.0, 0.4, 0.7]) and "DICOM" in origin
+    image = framing.read(sources[1])
+    assert np.array_equal(image.array, volumes[1])
+    assert image.spacing == pytest.approx([0.5, 0.5, 1.5]) and image.origin == pytest.approx([10, 20, 0])
 
 
 @pytest.mark.slow
