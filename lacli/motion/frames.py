@@ -23,6 +23,7 @@ _LABELS_AT_MOST = 64
 _INSIDE_MM, _OUTSIDE_MM = 2.5, 3.5
 _SAME_MM = 1e-3
 FEWEST, MOST = 3, 200
+_FEWEST_PERCENT = 10.0  # times that end between 1 and this are of another unit
 
 
 @dataclass(frozen=True)
@@ -140,6 +141,10 @@ def cycle_times(sources: Sequence[Source], given: Sequence[float] | None) -> tup
         if len(times) != len(sources):
             raise UsageError(f"--times has {len(times)} values for {len(sources)} frames; give one for each.")
         if np.isfinite(times).all() and times.max() > 1.0:
+            if times.max() <= _FEWEST_PERCENT:
+                raise UsageError(
+                    f"--times end at {times.max():g}: neither fractions of the RR interval (0.35) nor percentages of it (35)."
+                )
             times = times / 100.0
     elif all(source.time is not None for source in sources):
         times, origin = np.array([source.time for source in sources], dtype=float), "the DICOM headers"

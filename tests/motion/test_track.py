@@ -84,7 +84,7 @@ def test_times_are_fractions_or_percentages_from_the_first_frame(given_times: li
     assert times == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("bad", [[0, 0.5, 0.5], [0, 0.5, 0.4], [0, 0.5], [0, float("nan"), 0.6], [0, 50, 101]])
+@pytest.mark.parametrize("bad", [[0, 0.5, 0.5], [0, 0.5, 0.4], [0, 0.5], [0, float("nan"), 0.6], [0, 50, 101], [0, 0.5, 1.2]])
 def test_times_that_do_not_rise_within_a_cycle_are_refused(bad: list[float]) -> None:
     with pytest.raises(UsageError):
         framing.cycle_times([Source(Path(str(i))) for i in range(3)], bad)
