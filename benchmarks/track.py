@@ -32,7 +32,8 @@ def patient(folder: Path, seed: int, arguments: argparse.Namespace) -> dict[str,
     """Write, track and compare one patient."""
     if not (folder / "gated.json").is_file():
         atrium = {
-            "volume_ml": arguments.volume_ml, "thickness_mm": 2.0, "cell_size_mm": arguments.cell_size_mm, "order": arguments.order,
+            "volume_ml": arguments.volume_ml,
+            "thickness_mm": 2.0, "cell_size_mm": arguments.cell_size_mm, "order": arguments.order,
             "descent_mm": 8.0,
         }  # fmt: skip
         acquisition = Acquisition(arguments.frames, tuple(arguments.voxel_mm))
