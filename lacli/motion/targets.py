@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from lacli.anatomy.surface_features import Endocardium
 from lacli.base.arrays import FloatArray
-from lacli.base.errors import UsageError
+from lacli.base.errors import InputError, UsageError
 from lacli.contracts.features import PUBLISHED, at_time
 from lacli.contracts.targets import Targets
 from lacli.motion.phases import Phases, phases_of
@@ -20,6 +20,7 @@ PUBLISHED_VOLUME_SHARE = 0.05
 # a frame this near to ES, as a share of the cycle, shows ES itself: it would be the same target twice
 SAME_TIME = 0.02
 _NUGGET = 1e-4
+_LEAST_RISE = 0.01
 
 
 @dataclass(frozen=True)
@@ -34,10 +35,15 @@ class Course:
 
     @classmethod
     def of(cls, surface: Endocardium, times: FloatArray, displacement: FloatArray) -> Course:
-        """From the displacement (f, n, 3) mm of the bundle's points."""
+        """From the displacement (f, n, 3) mm of the bundle's points. InputError where the volume never rises from ED."""
         positions = surface.ed + displacement
         features = [surface.features(x) for x in positions]
         volume = np.array([row["volume_ml"] for row in features])
+        if volume.max() < (1.0 + _LEAST_RISE) * volume[0]:
+            raise InputError(
+                f"the volume does not rise from the first frame ({volume[0]:.1f} mL, at most {volume.max():.1f} mL later): "
+                "there is no end-systole. Is the first frame end-diastole, and the bundle made from it?"
+            )
         return cls(surface, times, positions, features, phases_of(times, volume))
 
     def positions_at(self, time: float) -> FloatArray:

@@ -159,6 +159,12 @@ def test_a_plateau_is_diastasis_and_without_one_conduit_meets_booster() -> None:
     assert not fast.diastasis
 
 
+def test_a_volume_that_never_rises_is_no_cycle(bundle: Bundle) -> None:
+    times = np.arange(4) / 4
+    with pytest.raises(InputError, match="does not rise"):
+        from_given(bundle, times, -grown(bundle, times), (0.1, 0.1), "fields")
+
+
 # --- errors and covariance ---------------------------------------------------------------------------------------------------
 
 
@@ -246,9 +252,10 @@ def test_smoothing_keeps_a_motion_of_few_harmonics_and_end_diastole(bundle: Bund
 def test_a_closure_is_spread_over_the_cycle(bundle: Bundle) -> None:
     times = np.array([0.0, 0.25, 0.5, 1.0])
     drift = times[:, None, None] * np.array([0.4, 0.0, 0.0])
-    tracked = from_given(bundle, times, np.broadcast_to(drift, (4, len(bundle.points), 3)).copy(), (0.1, 0.1), "fields")
+    right = grown(bundle, times)
+    tracked = from_given(bundle, times, right + drift, (0.1, 0.1), "fields")
     assert tracked.closure_mm == pytest.approx(0.4)
-    assert np.abs(tracked.course.positions - bundle.points).max() < 1e-12
+    assert np.abs(tracked.course.positions - bundle.points - right[:-1]).max() < 1e-12
 
 
 def test_a_correlated_likelihood_is_the_density_of_the_normal_distribution() -> None:
@@ -345,8 +352,8 @@ def test_given_fields(bundle: Bundle, folder: Path) -> None:
         given_motion.displacement(bundle, "fields", [folder / "far.nrrd"], "lps", None, quiet)
 
 
-def frames_of(bundle: Bundle, folder: Path, count: int = 4) -> list[Path]:
-    """Small frames: blood where the cavity is about, darker around, some noise."""
+def frames_of(bundle: Bundle, folder: Path, growth: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)) -> list[Path]:
+    """Small frames: blood where the cavity is about, ``growth`` mm wider in each, darker around, some noise."""
     rng = np.random.default_rng(0)
     low, high = bundle.points.min(axis=0) - 12, bundle.points.max(axis=0) + 12
     spacing = 2.0
@@ -358,8 +365,8 @@ def frames_of(bundle: Bundle, folder: Path, count: int = 4) -> list[Path]:
     grid = pv.ImageData(dimensions=tuple(size), spacing=(spacing,) * 3, origin=tuple(low))
     distance = grid.compute_implicit_distance(mesh)["implicit_distance"].reshape(size[::-1])
     paths = []
-    for number in range(count):
-        hu = 350.0 - 410.0 / (1.0 + np.exp(-distance)) + rng.normal(0, 15, distance.shape)
+    for number, more in enumerate(growth):
+        hu = 350.0 - 410.0 / (1.0 + np.exp(more - distance)) + rng.normal(0, 15, distance.shape)
         path = folder / f"f{number}.nrrd"
         write(Image(hu.astype(np.int16), np.full(3, spacing), low, np.eye(3)), path)
         paths.append(path)
@@ -458,12 +465,14 @@ def test_dicom_series_are_frames_with_the_phases_of_their_headers(tmp_path: Path
 
 @pytest.mark.slow
 def test_a_small_case_is_tracked_and_a_rerun_registers_nothing(bundle: Bundle, folder: Path) -> None:
-    """Frames that do not move: displacements near 0, volumes the same; the second run finds every registration kept."""
-    paths = [str(path) for path in frames_of(bundle, folder)]
+    """A cavity 2 mm wider in the middle of the cycle: it grows by about its area times 2 mm; a rerun finds all registrations."""
+    paths = [str(path) for path in frames_of(bundle, folder, (0.0, 1.0, 2.0, 1.0))]
     options = ["--bundle", str(folder / "bundle"), "--out", str(folder / "m"), "--json", "--known-motions", "2", "--no-figures"]
     first = json.loads(run(*paths, *options))
     assert first["registrations_kept"] == 0 and first["registrations"] == 6
-    assert all(abs(first["targets"][f"n_{r}_mm@0.25"]["mean"]) < 0.3 for r in ("roof", "anterior", "posterior"))
+    assert first["phases"]["es"] == pytest.approx(0.5, abs=0.1)
+    normal = [first["targets"][f"n_{region}_mm"]["mean"] for region in ("anterior", "posterior", "septum", "lateral", "roof")]
+    assert np.mean(normal) == pytest.approx(2.0, abs=0.6)
     second = json.loads(run(*paths, *options))
     assert second["registrations_kept"] == 6
     assert second["targets"] == first["targets"]
