@@ -23,7 +23,6 @@ from lacli.motion.annulus import annulus_points
 from lacli.motion.patient import Tracked
 from lacli.motion.phases import Phases
 from lacli.motion.targets import Covaried
-from lacli.motion.uncertainty import SMOOTHER
 
 COVARIANCE = "targets_covariance.npz"
 _PRODUCTS = ("motion.npz", "transients.csv", "targets.toml", COVARIANCE, "frames")
@@ -134,13 +133,13 @@ def _mean_error(tracked: Tracked) -> tuple[float, float]:
         return float(tracked.info["error_normal_mm"]), float(tracked.info["error_tangential_mm"])
     normal = [error.normal["global"] for _, error in tracked.known]
     tangential = [error.tangential["global"] for _, error in tracked.known]
-    return SMOOTHER * float(np.mean(normal)), SMOOTHER * float(np.mean(tangential))
+    factor = float(tracked.info["known_motion_factor"])
+    return factor * float(np.mean(normal)), factor * float(np.mean(tangential))
 
 
 def _errors(tracked: Tracked) -> dict[str, Any]:
     return {
         "known_motion": [{"time": time, **asdict(error)} for time, error in tracked.known],
-        "known_motion_factor": SMOOTHER if tracked.known else None,
         "ed_residual": None if tracked.ed_residual is None else asdict(tracked.ed_residual),
         "closure_mm": tracked.closure_mm,
         "correlation_between_frames": tracked.model.between,
