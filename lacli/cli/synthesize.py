@@ -134,12 +134,11 @@ def _gated(
             made_from = {"seed": number, "atrium": wanted, "acquisition": asdict(acquisition), "parameters": parameters}
             info = gated_case.finished(folder, made_from)
             if info is None:
-                info = gated_case.write_case(
-                    folder, number, wanted, parameters, acquisition, rate,
-                    lambda what, done, total, name=folder.name: bar.update(
-                        task, description=f"{name}: {what}", completed=done, total=total
-                    ),
-                )  # fmt: skip
+
+                def monitor(what: str, done: int, total: int, name: str = folder.name) -> None:
+                    bar.update(task, description=f"{name}: {what}", completed=done, total=total)
+
+                info = gated_case.write_case(folder, number, wanted, parameters, acquisition, rate, monitor)
             rows.append({"folder": str(folder), **info})
     if as_json:
         print_json(rows)
@@ -152,7 +151,7 @@ def _gated(
 
 
 def _parameters(given: list[str]) -> dict[str, float]:
-    from lacli.contracts.scene import parameter_box
+    from lacli.contracts.parameters import parameter_box
 
     result = {}
     for text in given:

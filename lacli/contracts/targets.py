@@ -14,6 +14,7 @@ import tomli_w
 from lacli.base.arrays import FloatArray
 from lacli.base.documents import brief, read_toml
 from lacli.base.errors import TableError
+from lacli.contracts.covariance import read_covariance
 
 # a measurement is not as exact as a billionth of a thousandth of itself, nor worth the name beyond a million times itself
 # (a mean near 0 is what rounding left of nothing: there the unit is the measure)
@@ -23,11 +24,12 @@ _NOTHING, _LARGEST = 1e-100, 1e100
 
 @dataclass(frozen=True)
 class Targets:
-    """names (p,), mean (p,) and sd (p,) in the features' own units."""
+    """names (p,), mean (p,) and sd (p,) in the features' own units; covariance (p, p) of the errors, None: independent."""
 
     names: tuple[str, ...]
     mean: FloatArray
     sd: FloatArray
+    covariance: FloatArray | None = None
 
     def select(self, names: Sequence[str]) -> Targets:
         """The targets in the order of ``names``; TableError if one is missing."""
@@ -35,18 +37,23 @@ class Targets:
         if missing:
             raise TableError(f"targets: no value for {', '.join(missing)}; there are {', '.join(self.names)}.")
         j = [self.names.index(name) for name in names]
-        return Targets(tuple(names), self.mean[j], self.sd[j])
+        covariance = None if self.covariance is None else self.covariance[np.ix_(j, j)]
+        return Targets(tuple(names), self.mean[j], self.sd[j], covariance)
 
     def widened(self, error_sd: FloatArray) -> Targets:
         """The targets with the simulator's own error (p,), one standard deviation, added to their uncertainty: what a run
         says differs from the truth by both."""
-        return Targets(self.names, self.mean, np.hypot(self.sd, error_sd)) if error_sd.any() else self
+        if not error_sd.any():
+            return self
+        covariance = None if self.covariance is None else self.covariance + np.diag(error_sd**2)
+        return Targets(self.names, self.mean, np.hypot(self.sd, error_sd), covariance)
 
 
 def read_targets(path: Path) -> Targets:
     """Read ``targets.toml``: a table for each feature with ``mean`` and ``sd``, at the top or under ``[targets]``.
 
-    Example: ``[targets.esv_ml]``, ``mean = 92.0``, ``sd = 4.6``. Raises TableError with the key at fault.
+    Example: ``[targets.esv_ml]``, ``mean = 92.0``, ``sd = 4.6``. ``covariance = "file.npz"`` at the top names the covariance of
+    the errors, in the same folder (contracts.covariance). Raises TableError with the key at fault.
     """
     path = Path(path)
     document = read_toml(path, error=TableError, missing="no such targets file. Write a table for each feature with mean and sd")
@@ -69,7 +76,9 @@ def read_targets(path: Path) -> Targets:
         if (other := alike.setdefault(name.strip().lower(), name)) != name:
             raise TableError(f"{path}: {other} and {name} are one name but for its spelling. Keep one.")
     values = np.array(list(found.values()))
-    return Targets(tuple(found), values[:, 0], values[:, 1])
+    file = document.get("covariance")
+    covariance = None if file is None else read_covariance(path, file, list(found), values[:, 1])
+    return Targets(tuple(found), values[:, 0], values[:, 1], covariance)
 
 
 def _target(path: Path, name: str, entry: dict[str, Any]) -> tuple[float, float]:

@@ -46,7 +46,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Run:
-    """Fields of all pairs in order, the CPU seconds of those registered now, the largest memory of one (MB), how many were kept."""
+    """Fields of all pairs in order, the CPU seconds of those registered now, the largest memory of one (MB), number kept."""
 
     fields: list[Field]
     cpu_s: float
