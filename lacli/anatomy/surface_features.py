@@ -137,24 +137,19 @@ class Endocardium:
         shapes = triangle_shapes(self.faces.shape[1])
         moved = at_quadrature(self.faces, points - self.ed)
         d1, d2 = tangents(self.faces, points)
-        vector = np.cross(d1, d2)
-        normal = _unit(vector)
+        normal = _unit(np.cross(d1, d2))
         fields = {"d_{}_mm": _unit(moved), "n_{}_mm": self.normal}
         if self.alpha is not None and self.beta is not None:
             fields |= {"a_{}_mm": self.alpha, "b_{}_mm": self.beta}
         # (t, k, 3): of a triangle's part in the area's sum along its nodes
-        parts = {key: np.einsum("tq,qk,tqi->tki", self.area, shapes.value, field) for key, field in fields.items()}
+        parts = {key: shapes.value.T @ (self.area[..., None] * field) for key, field in fields.items()}
         if self.along is not None:
-            fibre = self.along[..., :1] * d1 + self.along[..., 1:] * d2
-            along = [self.area * self.along[..., i] for i in (0, 1)]
-            parts["fibre_strain_{}"] = sum(
-                np.einsum("tq,qk,tqi->tki", share, slope, fibre)
-                for share, slope in zip(along, (shapes.d1, shapes.d2), strict=True)
-            )
-        parts["area_strain_{}"] = np.einsum("q,qk,tqi->tki", shapes.weight, shapes.d1, np.cross(d2, normal))
-        parts["area_strain_{}"] += np.einsum("q,qk,tqi->tki", shapes.weight, shapes.d2, np.cross(normal, d1))
+            fibre = self.area[..., None] * (self.along[..., :1] * d1 + self.along[..., 1:] * d2)
+            parts["fibre_strain_{}"] = shapes.d1.T @ (self.along[..., :1] * fibre) + shapes.d2.T @ (self.along[..., 1:] * fibre)
+        normal *= shapes.weight[:, None]
+        parts["area_strain_{}"] = shapes.d1.T @ np.cross(d2, normal) + shapes.d2.T @ np.cross(normal, d1)
         whole = {"d_global_mm": _nodal(parts["d_{}_mm"], self.faces, len(points)) / self.area.sum()}
-        swept = np.einsum("qk,tqi->tki", triangle_shapes(self.closed.shape[1]).value, area_vectors(self.closed, points))
+        swept = triangle_shapes(self.closed.shape[1]).value.T @ area_vectors(self.closed, points)
         whole["volume_ml"] = -_nodal(swept, self.closed, len(points)) / 1000.0
         for region, number in REGIONS.items():
             here = self.region == number
