@@ -101,7 +101,7 @@ class Materials(_Frozen):
     """Guccione's law of the wall (C, alpha per region) and neo-Hookean rings and planes."""
 
     place = "materials"
-    law: Literal["guccione", "neo_hookean"] = Field("guccione", description="law of the wall")
+    law: Literal["guccione", "neo_hookean"] = Field(default="guccione", description="law of the wall")
     c_kpa: Stiffness = Stiffness(**{name: _default(f"materials.c_kpa.{name}") for name in BODY_REGIONS})
     alpha: Exponent = Exponent(**{name: _default(f"materials.alpha.{name}") for name in BODY_REGIONS})
     bf: Number = _default("materials.bf")
@@ -122,7 +122,7 @@ class Loads(_Frozen):
     esp_mmhg: Number = _default("loads.esp_mmhg")
     vein_spring_kpa_per_um: Number = _default("loads.vein_spring_kpa_per_um")
     transient_mmhg: tuple[tuple[float, float], ...] | None = Field(
-        None,
+        default=None,
         description="cavity pressure over the cycle, pairs of share of the cycle and mmHg; without it, idealised",
     )
 
@@ -160,7 +160,7 @@ class Pericardium(_Frozen):
     k_peri_kpa_per_um: Number = _default("pericardium.k_peri_kpa_per_um")
     pth: Number = _default("pericardium.pth")
     ramp: Number = _default("pericardium.ramp")
-    outward_only: bool = Field(False, description="whether the springs resist outward motion only")
+    outward_only: bool = Field(default=False, description="whether the springs resist outward motion only")
 
     @property
     def k_peri_kpa_per_mm(self) -> float:
@@ -172,7 +172,8 @@ class MotionSettings(_Frozen):
 
     place = "motion"
     annulus: Literal["bundle", "axial", "none"] = Field(
-        "bundle", description="motion of the mitral annulus: the frames of the bundle, a rigid descent along its axis, or none"
+        default="bundle",
+        description="motion of the mitral annulus: the frames of the bundle, a rigid descent along its axis, or none",
     )
     amplitude_mm: Number = _default("motion.amplitude_mm")
     es_time: Number = _default("motion.es_time")
@@ -191,17 +192,18 @@ class Numerics(_Frozen):
     """
 
     place = "numerics"
-    order: Literal[1, 2] = Field(2, description="order of the cells: 1 straight with 4 nodes, 2 curved with 10 nodes")
-    quadrature: Literal[4, 14] = Field(4, description="quadrature points of a cell")
+    order: Literal[1, 2] = Field(default=2, description="order of the cells: 1 straight with 4 nodes, 2 curved with 10 nodes")
+    quadrature: Literal[4, 14] = Field(default=4, description="quadrature points of a cell")
     kappa_points_kpa: Number = _default("numerics.kappa_points_kpa")
     unloading: Literal["prestrain", "backward"] = Field(
-        "prestrain", description="how end-diastole is found: strain that balances EDP in the image, or backward displacement"
+        default="prestrain",
+        description="how end-diastole is found: strain that balances EDP in the image, or backward displacement",
     )
     settle_ed: bool = Field(
-        False, description="whether an unstable end-diastole settles into the nearest stable one before it fills"
+        default=False, description="whether an unstable end-diastole settles into the nearest stable one before it fills"
     )
     engine: Literal["auto", "plugin", "script"] = Field(
-        "auto",
+        default="auto",
         description="what assembles and solves: the compiled plugin, the script without compiler, or whichever can",
     )
     unloading_volume_tolerance: Number = _default("numerics.unloading_volume_tolerance")
@@ -217,16 +219,17 @@ class Outputs(_Frozen):
 
     place = "outputs"
     frames: int = _default("outputs.frames")
-    conduit: bool = Field(False, description="whether the conduit phase after end-systole is simulated")
+    conduit: bool = Field(default=False, description="whether the conduit phase after end-systole is simulated")
     fields: Literal["none", "es", "all"] = Field(
-        "es", description="states written as VTU files: none, end-diastole and end-systole, or every frame"
+        default="es", description="states written as VTU files: none, end-diastole and end-systole, or every frame"
     )
     strain: bool = Field(
-        False, description="whether features of the wall's cells are added: fibre strain and change of thickness by region"
+        default=False,
+        description="whether features of the wall's cells are added: fibre strain and change of thickness by region",
     )
-    unloaded: bool = Field(True, description="whether the wall without pressure is sought too, and its volume")
+    unloaded: bool = Field(default=True, description="whether the wall without pressure is sought too, and its volume")
     sensitivities: bool = Field(
-        False, description="whether the derivatives of the features by the inputs of the study are written too"
+        default=False, description="whether the derivatives of the features by the inputs of the study are written too"
     )
 
 
