@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from scipy import ndimage
 
 from lacli.anatomy.inputs.image import Image
-from lacli.anatomy.openings import clipping
+from lacli.anatomy.openings import closing
+from lacli.anatomy.openings.candidate import RIM, Candidate, area_vector, of_ring
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import AnatomyError, InputError
 from lacli.geometry import curves as paths
@@ -22,20 +23,12 @@ OPENING_MM = 10.0  # rims at least this long are openings (veins, valve), shorte
 
 
 @dataclass(frozen=True)
-class Rim:
-    """An opening that the input had: centre (3,) mm, normal (3,) out of the cavity, length of the circle of its area mm."""
-
-    centre: FloatArray
-    normal: FloatArray
-    length_mm: float
-
-
-@dataclass(frozen=True)
 class Repaired:
-    """A closed surface, the openings it had, what was done in words, and the factor from the file's unit to mm."""
+    """A closed surface, the openings it had (widest first; each has its cap's label on the surface, 0 where the surface was
+    rebuilt), what was done in words, and the factor from the file's unit to mm."""
 
     surface: Surface
-    rims: tuple[Rim, ...]
+    rims: tuple[Candidate, ...]
     notes: tuple[str, ...]
     scale: float
 
@@ -118,36 +111,19 @@ def repair(points: FloatArray, triangles: IntArray) -> Repaired:
     triangles = _largest(points, triangles, notes)
     points, triangles = _used(points, triangles)
     triangles, manifold = _orient(triangles, notes)
-    rims: list[Rim] = []
+    rims: list[Candidate] = []
     loops = paths.loops(paths.open_edges(triangles)) if manifold else []
     if manifold and len(loops) <= MANY_HOLES:
-        points, triangles, rims, small = _cap(points, triangles, loops, notes)
-        surface = compact(Surface(points, triangles, np.zeros(len(triangles), dtype=np.int64)))
+        surface, rims = _closed(points, triangles, loops, notes)
         if not defects(surface.triangles):
             if surface.volume_ml() < 0:
                 surface = Surface(surface.points, surface.triangles[:, ::-1].copy(), surface.label)
                 notes.append("the surface was inside out and was turned")
-            rims = [_outward(r, surface) for r in rims]
-            if small > 1:
-                surface = smoothed(surface)
-                notes.append("patches were smoothed into the surface (voxels of 0.5 mm)")
-            return Repaired(surface, tuple(rims), tuple(notes), scale)
+            return Repaired(surface, tuple(_outward(r, surface) for r in rims), tuple(notes), scale)
         points, triangles = surface.points, surface.triangles
     surface = from_voxels(points, triangles)
     notes.append("the triangles did not make a closed surface: it was rebuilt from voxels of 0.5 mm")
-    return Repaired(surface, tuple(_outward(r, surface) for r in rims), tuple(notes), scale)
-
-
-def smoothed(surface: Surface, spacing_mm: float = 0.5) -> Surface:
-    """A closed surface anew from its voxels, of the same volume."""
-    from lacli.anatomy.inputs import extraction
-
-    field = voxels(surface, spacing_mm)
-    mask = field.with_array(field.array > 0.5)
-    again = extraction.surface_of(mask, sigma_mm=0.8, grid_mm=0.7)
-    grown = (surface.volume_ml() / again.volume_ml()) ** (1 / 3)
-    centre = again.points.mean(axis=0)
-    return Surface(centre + grown * (again.points - centre), again.triangles, again.label)
+    return Repaired(surface, tuple(_outward(replace(r, cap=0), surface) for r in rims), tuple(notes), scale)
 
 
 def voxels(surface: Surface, spacing_mm: float) -> Image:
@@ -173,6 +149,12 @@ def voxels(surface: Surface, spacing_mm: float) -> Image:
     paint.Update()
     array = vtk_to_numpy(paint.GetOutput().GetPointData().GetScalars()).reshape(size[::-1]).astype(np.float32)
     return Image(array, np.full(3, spacing_mm), low, np.eye(3))
+
+
+def voxel_field(surface: Surface, spacing_mm: float) -> Image:
+    """A closed surface as a field, about 1 inside and 0 outside, on an isotropic grid."""
+    field = voxels(surface, spacing_mm)
+    return field.with_array(ndimage.gaussian_filter(field.array, 0.7))
 
 
 def _used(points: FloatArray, triangles: IntArray) -> tuple[FloatArray, IntArray]:
@@ -281,34 +263,37 @@ def _orient(triangles: IntArray, notes: list[str]) -> tuple[IntArray, bool]:
     return np.where((turn == 1)[:, None], triangles[:, ::-1], triangles), True
 
 
-def _cap(
-    points: FloatArray, triangles: IntArray, loops: list[IntArray], notes: list[str]
-) -> tuple[FloatArray, IntArray, list[Rim], int]:
-    """Caps over all loops; the long ones are openings, the number of short ones is returned."""
-    rims, small = [], 0
-    everything = [triangles]
-    for loop in loops:
-        points, cap = clipping.fill_rim(points, loop, triangles)
-        everything.append(cap)
-        a, b, c = (points[cap[:, i]] for i in range(3))
-        normal = np.cross(b - a, c - a).sum(axis=0)
-        # of the circle of the same area: a ragged rim is no longer than a smooth one
-        length = float(np.sqrt(2.0 * np.pi * np.linalg.norm(normal)))
-        if length >= OPENING_MM:
-            rims.append(Rim(points[loop].mean(axis=0), normal / max(float(np.linalg.norm(normal)), 1e-12), length))
-        else:
-            small += 1
+def _closed(points: FloatArray, triangles: IntArray, loops: list[IntArray], notes: list[str]) -> tuple[Surface, list[Candidate]]:
+    """Caps over all loops, those of openings with labels of their own; and the openings, widest first."""
+    points, ragged = closing.even(points, triangles, [loop for loop in loops if len(loop) > 6])
+    if ragged:
+        notes.append(f"{len(ragged)} ragged rims were smoothed")
+    # of the circle of the same area: a ragged rim is no longer than a smooth one
+    length = [float(np.sqrt(4.0 * np.pi * np.linalg.norm(area_vector(points[loop])))) for loop in loops]
+    order = sorted(range(len(loops)), key=lambda k: -length[k])
+    wide = [k for k in order if length[k] >= OPENING_MM]
+    small = len(loops) - len(wide)
     if small:
         notes.append(f"{small} holes were filled")
-    if rims:
-        notes.append(f"{len(rims)} rims of {OPENING_MM:g} mm or more were found")
-    return points, np.vstack(everything), sorted(rims, key=lambda r: -r.length_mm), small
+    if wide:
+        notes.append(f"{len(wide)} rims of {OPENING_MM:g} mm or more were found")
+    middle = points[np.unique(triangles)].mean(axis=0)
+    rims = []
+    for k, i in enumerate(wide):
+        ring = points[loops[i]]
+        rims.append(of_ring(ring, ring.mean(axis=0) - middle, RIM, cap=closing.CAP + k))
+    points, triangles, label = closing.close(points, triangles, [loops[i] for i in order])
+    label = np.where(label >= closing.CAP + len(wide), 0, label)
+    return compact(Surface(points, triangles, label)), rims
 
 
-def _outward(rim: Rim, surface: Surface) -> Rim:
-    """The rim's normal, away from the surface's middle."""
-    sense = np.sign((rim.centre - surface.points.mean(axis=0)) @ rim.normal) or 1.0
-    return Rim(rim.centre, sense * rim.normal, rim.length_mm)
+def _outward(rim: Candidate, surface: Surface) -> Candidate:
+    """The rim's direction as its cap's normal has it, or away from the surface's middle where it has no cap."""
+    if rim.cap:
+        sense = np.sign(surface.area_vectors()[surface.label == rim.cap].sum(axis=0) @ rim.direction) or 1.0
+    else:
+        sense = np.sign((rim.centre - surface.points.mean(axis=0)) @ rim.direction) or 1.0
+    return replace(rim, direction=sense * rim.direction)
 
 
 def from_voxels(points: FloatArray, triangles: IntArray, spacing_mm: float = 0.5) -> Surface:

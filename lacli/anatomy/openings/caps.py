@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import coo_matrix, diags
+from scipy.sparse.linalg import spsolve
 
 from lacli.anatomy.coordinates.frame import unit
 from lacli.anatomy.wall.polish import polish
@@ -170,9 +172,11 @@ def harmonic_heights(triangles: IntArray, rim_height: FloatArray, size: int) -> 
     height = np.concatenate([rim_height, np.zeros(size - fixed)])
     if size == fixed:
         return height
-    sides = np.unique(np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
-    graph = np.zeros((size, size))
-    graph[sides[:, 0], sides[:, 1]] = graph[sides[:, 1], sides[:, 0]] = 1.0
-    laplacian = np.diag(graph.sum(axis=1)) - graph
-    height[fixed:] = np.linalg.solve(laplacian[fixed:, fixed:], -laplacian[fixed:, :fixed] @ height[:fixed])
+    sides, _ = unique_edges(triangles)
+    ones = np.ones(2 * len(sides))
+    graph = coo_matrix(
+        (ones, (np.concatenate([sides[:, 0], sides[:, 1]]), np.concatenate([sides[:, 1], sides[:, 0]]))), (size, size)
+    )
+    laplacian = (diags(np.asarray(graph.sum(axis=1)).ravel()) - graph).tocsc()
+    height[fixed:] = spsolve(laplacian[fixed:, fixed:], -laplacian[fixed:, :fixed] @ height[:fixed])
     return height

@@ -125,14 +125,15 @@ def at_ostium(sections: list[Section], outside_mm: float) -> Section:
 
 def area_and_middle(normal: FloatArray, centre: FloatArray, radius_at: RadiusAt) -> tuple[float, FloatArray]:
     """Area (mm2) and centroid (3,) of the plane section that is seen from ``centre``."""
-    e = _across(normal)
+    e = across(normal)
     rays = np.cos(_ANGLES)[:, None] * e + np.sin(_ANGLES)[:, None] * np.cross(normal, e)
     r = radius_at(centre, rays)
     area = 0.5 * float(np.sum(r * np.roll(r, -1)) * np.sin(_ANGLES[1]))
     return area, centre + (rays * (r**3)[:, None]).sum(axis=0) / (1.5 * np.sum(r**2))
 
 
-def _across(normal: FloatArray) -> FloatArray:
+def across(normal: FloatArray) -> FloatArray:
+    """A unit vector (3,) perpendicular to ``normal``."""
     e = np.cross(normal, [1.0, 0, 0] if abs(normal[0]) < 0.8 else [0, 1.0, 0])
     return e / np.linalg.norm(e)
 
@@ -145,7 +146,7 @@ def smallest(centre: FloatArray, normal: FloatArray, axis: FloatArray, radius_at
     area, _ = area_and_middle(normal, centre, radius_at)
     for step in np.radians([6.0, 3.0]):
         for _ in range(4):
-            e = _across(normal)
+            e = across(normal)
             f = np.cross(normal, e)
             trials = [normal + np.tan(step) * turn for turn in (e, -e, f, -f)]
             trials = [t / np.linalg.norm(t) for t in trials]
