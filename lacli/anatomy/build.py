@@ -14,7 +14,7 @@ from lacli.anatomy.coordinates import describe as coordinates
 from lacli.anatomy.inputs import extraction
 from lacli.anatomy.inputs.image import Image
 from lacli.anatomy.inputs.repair import Repaired
-from lacli.anatomy.openings import clipping, finding
+from lacli.anatomy.openings import clipping, finding, trunk
 from lacli.anatomy.openings.candidate import Candidate
 from lacli.anatomy.openings.closing import CAP
 from lacli.anatomy.openings.landmarks import LPS, Axes, Landmarks
@@ -183,8 +183,15 @@ def clip(surface: Surface, found: Landmarks) -> Surface:
     for cap in np.unique(surface.label[surface.label >= CAP]):
         label[surface.label == cap] = kept.get(int(cap), 0)
     surface = replace(surface, label=label)
+    done: set[str] = set()
     for name in sorted(found.openings, key=lambda n: (n == "mv", n)):
         opening = found.openings[name]
+        other = found.openings.get(opening.shares)
+        if other is not None:
+            if opening.shares not in done:
+                surface = trunk.part(surface, opening, other)
+            done.add(name)
+            continue
         if opening.cap:
             continue
         plane = PLANES.get(opening.takes or name, 0)

@@ -16,8 +16,8 @@ VEIN = "vein"  # said of a candidate that is some vein, its side and height unkn
 class Candidate:
     """One place where the atrium may open.
 
-    centre (3,) mm; direction (3,) unit, out of the atrium; area_mm2 across it; source: one of the kinds above; half_axis (3,) mm: half
-    of its longest diameter; length_mm: how far a vessel goes on inside the file past its ostium; tip (3,) mm: the far end;
+    centre (3,) mm; direction (3,) unit, out of the atrium; area_mm2 across it; source: one of the kinds above; half_axis (3,) mm:
+    half of its longest diameter; length_mm: how far a vessel goes on inside the file past its ostium; tip (3,) mm: the far end;
     cap: label of its triangles on the closed surface, 0 if it has none; said: by the input, an opening's name, VEIN, or "".
     """
 

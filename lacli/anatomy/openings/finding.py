@@ -11,7 +11,7 @@ from scipy import ndimage
 from lacli.anatomy.inputs.image import Image
 from lacli.anatomy.openings import branches, naming, ostium
 from lacli.anatomy.openings.branches import Branch, Skeleton
-from lacli.anatomy.openings.candidate import BRANCH, CAP, CONTACT, GIVEN, RIM, Candidate, place
+from lacli.anatomy.openings.candidate import BRANCH, CAP, CONTACT, GIVEN, RIM, Candidate, halves, place
 from lacli.anatomy.openings.landmarks import Axes, Landmarks, Opening, override
 from lacli.anatomy.openings.mitral import mitral_from_shape
 from lacli.base.arrays import FloatArray
@@ -48,6 +48,7 @@ def find(
     outside) join them. ``given``: what stands there wins. Raises AnatomyError where too few openings are found or the best
     reading's confidence is below naming.LEAST_CONFIDENCE, unless that is accepted.
     """
+    given = None if given is None else at_caps(given, seen)
     if given is not None and set(OPENINGS) - {"appendage"} <= set(given.openings):
         return Found(given)
     from lacli.anatomy.inputs.repair import voxel_field
@@ -75,12 +76,44 @@ def find(
     openings: dict[str, Opening] = {}
     for name, i in named.best.names.items():
         openings[name] = _opening(name, everything[i], branch_of.get(i), named.confidence, cast, ring_mm)
+    if named.best.trunk is not None:
+        openings |= _parted(everything[named.best.names[named.best.trunk[0]]], named.best.trunk, openings)
+        notes.append(
+            f"{named.best.trunk[0].upper()} and {named.best.trunk[1].upper()} leave by a common trunk "
+            f"({everything[named.best.names[named.best.trunk[0]]].words()}); a carina parts its opening in two"
+        )
     openings |= _further(everything, branch_of, named, openings, cast, ring_mm, notes)
     if "appendage" not in openings:
         notes.append("no appendage was found; its ring and plane are left out")
     ordered = sorted(openings, key=lambda n: (OPENINGS.index(n) if n in OPENINGS else 99, n))
     landmarks = Landmarks({n: openings[n] for n in ordered}, {}, tuple(notes))
     return Found(override(landmarks, given), tuple(everything), named)
+
+
+def at_caps(given: Landmarks, seen: Sequence[Candidate]) -> Landmarks:
+    """Given openings that lie on a cap of the surface (within 2 mm of its plane and half its radius of its middle) use it."""
+    openings = dict(given.openings)
+    for name, opening in given.openings.items():
+        for candidate in seen:
+            gap = opening.centre - candidate.centre
+            along = float(gap @ candidate.direction)
+            beside = float(np.linalg.norm(gap - along * candidate.direction))
+            reach = 0.35 * candidate.diameter_mm if opening.shares else 0.25 * candidate.diameter_mm
+            if candidate.cap and abs(along) < 2.0 and beside < reach:
+                openings[name] = replace(opening, cap=candidate.cap)
+    return replace(given, openings=openings)
+
+
+def _parted(trunk: Candidate, names: tuple[str, str], openings: dict[str, Opening]) -> dict[str, Opening]:
+    """The two openings of a common trunk, about its one cut."""
+    one, two = halves(trunk)
+    cut = openings[names[0]]
+    parted = {}
+    for name, other, half in ((names[0], names[1], one), (names[1], names[0], two)):
+        step = half.centre - trunk.centre
+        step = step - (step @ cut.normal) * cut.normal
+        parted[name] = replace(cut, name=name, centre=cut.centre + step, diameter_mm=half.diameter_mm, shares=other)
+    return parted
 
 
 def gather(
@@ -99,8 +132,8 @@ def gather(
         branch_of[len(everything)] = branch
         everything.append(of_branch(branch))
     for name, opening in ({} if given is None else given.openings).items():
-        everything, branch_of = _replaced(everything, branch_of, opening)
-        if name in OPENINGS:
+        everything, branch_of = _replaced(everything, branch_of, opening, name)
+        if name in OPENINGS and not any(c.said == name for c in everything):
             everything.append(replace(_of_opening(opening), source=GIVEN, said=name))
     if not any(c.said == "mv" or c.source == CONTACT for c in everything):
         widest = max((c.diameter_mm for c in everything if c.source in (RIM, CAP)), default=0.0)
@@ -111,13 +144,15 @@ def gather(
 
 
 def _replaced(
-    everything: list[Candidate], branch_of: dict[int, Branch], opening: Opening
+    everything: list[Candidate], branch_of: dict[int, Branch], opening: Opening, name: str
 ) -> tuple[list[Candidate], dict[int, Branch]]:
     """Without the candidate that a given opening stands for: the nearest, within its own diameter or 10 mm."""
     if not everything:
         return everything, branch_of
     gap = [float(np.linalg.norm(c.centre - opening.centre)) for c in everything]
     at = int(np.argmin(gap))
+    if opening.cap and everything[at].cap == opening.cap:
+        return [replace(c, said=name) if k == at else c for k, c in enumerate(everything)], branch_of
     if gap[at] > max(10.0, 0.5 * everything[at].diameter_mm):
         return everything, branch_of
     moved = {k - (k > at): b for k, b in branch_of.items() if k != at}

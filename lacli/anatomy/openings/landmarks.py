@@ -22,7 +22,7 @@ class Opening:
     """A cut: centre (3,) mm, normal (3,) out of the atrium, beyond (3,) mm a point of what is cut off; confidence 0 .. 1.
 
     cap: label of the surface's own cap that closes it where no cut is needed, else 0; takes: the opening whose ring and plane a
-    further vein takes.
+    further vein takes; shares: the other vein of a common trunk, whose opening a carina parts in two.
     """
 
     name: str
@@ -34,6 +34,7 @@ class Opening:
     source: str
     cap: int = 0
     takes: str = ""
+    shares: str = ""
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,7 @@ def write(landmarks: Landmarks, path: Path) -> None:
             "diameter_mm": round(opening.diameter_mm, 2),
             "confidence": round(opening.confidence, 2),
             "source": opening.source,
+            **{key: value for key in ("takes", "shares") if (value := getattr(opening, key))},
         }
     if landmarks.sides:
         document["sides"] = {name: [round(float(x), 3) for x in point] for name, point in landmarks.sides.items()}
@@ -110,7 +112,12 @@ def read(path: Path) -> Landmarks:
         if size < 1e-9:
             raise AnatomyError(f"{path}: {name}.normal has no direction.")
         beyond = _vector(path, f"{name}.beyond", table["beyond"]) if "beyond" in table else centre + 3.0 * normal / size
-        openings[name] = Opening(name, centre, normal / size, beyond, float(table.get("diameter_mm", 0.0)), 1.0, "landmarks file")
+        others = {key: str(table.get(key, "")) for key in ("takes", "shares")}
+        for key, value in others.items():
+            if value and value not in OPENINGS:
+                raise AnatomyError(f"{path}: {name}.{key} is '{value}'; the known openings are {', '.join(OPENINGS)}.")
+        diameter = float(table.get("diameter_mm", 0.0))
+        openings[name] = Opening(name, centre, normal / size, beyond, diameter, 1.0, "landmarks file", **others)
     return Landmarks(openings, sides)
 
 

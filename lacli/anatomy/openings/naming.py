@@ -46,8 +46,8 @@ SAID = 15.0
 
 @dataclass(frozen=True)
 class Reading:
-    """One way to name the candidates: opening -> index (an opening of a common trunk -> that trunk's); indices of further
-    veins -> the opening whose ring they take; whether the atrium is a mirror image; cost in nats; the vein that is not there."""
+    """One way to name the candidates: opening -> index (both veins of a common trunk -> that trunk's); trunk: the vein at
+    the end of its half_axis and the other; whether the atrium is a mirror image; cost in nats; the vein that is not there."""
 
     names: dict[str, int]
     trunk: tuple[str, str] | None
@@ -196,7 +196,8 @@ def _readings(
             names = {n: int(places.whole[i]) for n, i in zip(("mv", *VEINS, "appendage"), row, strict=True) if i >= 0}
             pair = None
             if trunk:
-                mine = [n for n in VEINS if names[n] == places.whole[-1]]
+                column = {int(i): n for n, i in zip(("mv", *VEINS), row, strict=False)}
+                mine = [column[len(places.diameter) - k] for k in (2, 1)]
                 pair = (mine[0], mine[1])
             found.append(Reading(names, pair, mirrored, float(cost[k])))
     return found
