@@ -111,7 +111,7 @@ def from_surface(
     repaired: Repaired, options: Options, given: Landmarks | None = None, axes: Axes | None = None, say: Say = print
 ) -> Built:
     """Bundle from a repaired surface; ``axes`` None: left and right are told from the shape."""
-    return _from_closed(repaired.surface, repaired.rims, axes, options, given, say, list(repaired.notes), None)
+    return _from_closed(repaired.surface, repaired.rims, axes, options, given, say, list(repaired.notes), None, repaired.outer)
 
 
 def _from_closed(

@@ -9,28 +9,30 @@ import numpy as np
 from scipy import ndimage
 
 from lacli.anatomy.inputs.image import Image
-from lacli.anatomy.openings import closing
+from lacli.anatomy.openings import clipping, closing
 from lacli.anatomy.openings.candidate import RIM, Candidate, area_vector, of_ring
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import AnatomyError, InputError
 from lacli.geometry import curves as paths
-from lacli.geometry.surface import Surface, compact, defects
+from lacli.geometry.surface import Surface, compact, defects, nearest
 
 SUFFIXES = (".vtp", ".vtk", ".stl", ".ply", ".obj", ".vtu")
 MANY_TRIANGLES = 400_000
 MANY_HOLES = 300
+FEW_BAD_EDGES = 60  # non-manifold edges: so many are mended, with more the surface is rebuilt
 OPENING_MM = 10.0  # rims at least this long are openings (veins, valve), shorter ones damage
 
 
 @dataclass(frozen=True)
 class Repaired:
     """A closed surface, the openings it had (widest first; each has its cap's label on the surface, 0 where the surface was
-    rebuilt), what was done in words, and the factor from the file's unit to mm."""
+    rebuilt), what was done in words, the factor from the file's unit to mm, and the wall's outer side where the file had it."""
 
     surface: Surface
     rims: tuple[Candidate, ...]
     notes: tuple[str, ...]
     scale: float
+    outer: Surface | None = None
 
 
 def read(path: Path) -> tuple[FloatArray, IntArray]:
@@ -108,6 +110,9 @@ def repair(points: FloatArray, triangles: IntArray) -> Repaired:
         points, triangles = _cluster(points, triangles)
         notes.append(f"{before} triangles were thinned to {len(triangles)}")
     points, triangles = _merge(points, triangles, notes)
+    triangles = _mended(triangles, notes)
+    triangles, outside = _inner(points, triangles, notes)
+    outer = None if outside is None else Surface(*_used(points, outside), np.zeros(len(outside), dtype=np.int64))
     triangles = _largest(points, triangles, notes)
     points, triangles = _used(points, triangles)
     triangles, manifold = _orient(triangles, notes)
@@ -119,11 +124,11 @@ def repair(points: FloatArray, triangles: IntArray) -> Repaired:
             if surface.volume_ml() < 0:
                 surface = Surface(surface.points, surface.triangles[:, ::-1].copy(), surface.label)
                 notes.append("the surface was inside out and was turned")
-            return Repaired(surface, tuple(_outward(r, surface) for r in rims), tuple(notes), scale)
+            return Repaired(surface, tuple(_outward(r, surface) for r in rims), tuple(notes), scale, outer)
         points, triangles = surface.points, surface.triangles
     surface = from_voxels(points, triangles)
     notes.append("the triangles did not make a closed surface: it was rebuilt from voxels of 0.5 mm")
-    return Repaired(surface, tuple(_outward(replace(r, cap=0), surface) for r in rims), tuple(notes), scale)
+    return Repaired(surface, tuple(_outward(replace(r, cap=0), surface) for r in rims), tuple(notes), scale, outer)
 
 
 def voxels(surface: Surface, spacing_mm: float) -> Image:
@@ -199,6 +204,82 @@ def _merge(points: FloatArray, triangles: IntArray, notes: list[str]) -> tuple[F
     if len(triangles) == 0:
         raise AnatomyError("no proper triangle is left after duplicates are merged.")
     return points[first], triangles
+
+
+def _mended(triangles: IntArray, notes: list[str]) -> IntArray:
+    """Without the triangles at edges that have more than two, where such edges are few; the holes are filled later."""
+    before = len(triangles)
+    for _ in range(3):
+        _, count, of = paths.edge_table(triangles)
+        many = count > 2
+        if not many.any() or many.sum() > FEW_BAD_EDGES:
+            break
+        triangles = triangles[~many[of].any(axis=1)]
+    if len(triangles) < before:
+        notes.append(f"{before - len(triangles)} triangles at non-manifold edges were taken out, the holes filled")
+    return triangles
+
+
+def _inner(points: FloatArray, triangles: IntArray, notes: list[str]) -> tuple[IntArray, IntArray | None]:
+    """Of two shells of which one lies in the other (endocardium and epicardium) the inner, and the outer; else all, and None."""
+    count, part = paths.triangle_components(triangles)
+    if count == 1:
+        return triangles, None
+    area = np.bincount(part, weights=np.linalg.norm(np.cross(*_sides(points, triangles)), axis=1), minlength=count)
+    first, second = (int(k) for k in np.argsort(-area)[:2])
+    if area[second] < 0.25 * area[first]:
+        return triangles, None
+    shells = {k: _filled(points, triangles[part == k]) for k in (first, second)}
+    if any(s is None for s in shells.values()):
+        return triangles, None
+    volume = {k: abs(s.volume_ml()) for k, s in shells.items() if s is not None}
+    inner, outer = sorted((first, second), key=lambda k: volume[k])
+    inside = _share_inside(shells[outer], points[np.unique(triangles[part == inner])])
+    gap, _ = nearest(points[np.unique(triangles[part == outer])], points[np.unique(triangles[part == inner])])
+    if inside < 0.9 or np.median(gap) > 10.0:
+        return triangles, None
+    notes.append(
+        f"two shells, one in the other: the inner ({volume[inner]:.0f} mL) is the endocardium, the outer "
+        f"({volume[outer]:.0f} mL) the epicardium, {np.median(gap):.1f} mm away (median)"
+    )
+    return triangles[part == inner], triangles[part == outer]
+
+
+def _sides(points: FloatArray, triangles: IntArray) -> tuple[FloatArray, FloatArray]:
+    a, b, c = (points[triangles[:, i]] for i in range(3))
+    return b - a, c - a
+
+
+def _filled(points: FloatArray, triangles: IntArray) -> Surface | None:
+    """The triangles with their rims closed by fans; None where they are no oriented manifold."""
+    triangles, manifold = _orient(triangles, [])
+    if not manifold:
+        return None
+    everything = [triangles]
+    for rim in paths.loops(paths.open_edges(triangles)):
+        points, cap = clipping.fill_rim(points, rim, triangles)
+        everything.append(cap)
+    cells = np.vstack(everything)
+    return compact(Surface(points, cells, np.zeros(len(cells), dtype=np.int64)))
+
+
+def _share_inside(closed: Surface | None, points: FloatArray) -> float:
+    """Share of points (k, 3) inside a closed surface."""
+    import vtk
+    from vtk.util.numpy_support import numpy_to_vtk, vtk_to_numpy
+
+    from lacli.anatomy.pictures import polydata
+
+    assert closed is not None
+    cloud = vtk.vtkPolyData()
+    cells = vtk.vtkPoints()
+    cells.SetData(numpy_to_vtk(np.ascontiguousarray(points), deep=True))
+    cloud.SetPoints(cells)
+    enclosed = vtk.vtkSelectEnclosedPoints()
+    enclosed.SetInputData(cloud)
+    enclosed.SetSurfaceData(polydata(closed))
+    enclosed.Update()
+    return float(vtk_to_numpy(enclosed.GetOutput().GetPointData().GetArray("SelectedPoints")).mean())
 
 
 def _largest(points: FloatArray, triangles: IntArray, notes: list[str]) -> IntArray:

@@ -182,21 +182,17 @@ def _opening(
     name: str, candidate: Candidate, branch: Branch | None, confidence: float, cast: ostium.RadiusAt, ring_mm: float
 ) -> Opening:
     """Where a named candidate is cut: at its own rim or cap where that is near the ostium, else beyond the ostium."""
-    keep = candidate.cap and (branch is None or branch.length_mm <= KEPT_STUB_MM or name == "mv")
-    if branch is None or name == "mv" or keep:
-        beyond = candidate.centre + 2.0 * candidate.direction if candidate.tip is None else candidate.tip
-        return Opening(
-            name,
-            candidate.centre,
-            candidate.direction,
-            beyond,
-            candidate.diameter_mm,
-            confidence,
-            candidate.source,
-            candidate.cap,
-        )
-    found = ostium.of_branch(name, branch, confidence, cast, ring_mm)
-    return replace(found, source=candidate.source)
+    beyond = candidate.centre + 2.0 * candidate.direction if candidate.tip is None else candidate.tip
+    at, way = candidate.centre, candidate.direction
+    as_it_is = Opening(name, at, way, beyond, candidate.diameter_mm, confidence, candidate.source, candidate.cap)
+    if name == "mv" or (candidate.cap == 0 and branch is None):
+        return as_it_is
+    if candidate.cap:
+        inside = ostium.of_opening(as_it_is, cast, ring_mm)
+        near = float(np.linalg.norm(inside.centre - at)) <= KEPT_STUB_MM
+        return as_it_is if near or branch is None or branch.length_mm <= KEPT_STUB_MM else replace(inside, cap=0)
+    assert branch is not None
+    return replace(ostium.of_branch(name, branch, confidence, cast, ring_mm), source=candidate.source)
 
 
 def _further(
@@ -244,8 +240,8 @@ def without(best: naming.Reading, everything: Sequence[Candidate]) -> str:
     there = "; ".join(f"{n.upper()}: {everything[i].words()}" for n, i in best.names.items())
     return (
         f"only one vein was found on the {'left' if name[0] == 'l' else 'right'}, {name.upper()} is missing ({there}): either it "
-        f"is not in the file, or it shares a common trunk with {mate.upper()}. Include 5 mm of each vein beyond the trunk, or give "
-        f"the ostium ([{name}]: centre, normal out of the atrium, mm) in landmarks.toml."
+        f"is not in the file, or it shares a common trunk with {mate.upper()}. Include 5 mm of each vein beyond the trunk, or "
+        f"give the ostium ([{name}]: centre, normal out of the atrium, mm) in landmarks.toml."
     )
 
 

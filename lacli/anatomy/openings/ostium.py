@@ -83,14 +83,15 @@ def of_branch(name: str, branch: Branch, confidence: float, radius_at: RadiusAt,
     line = branch.centreline
     start = max(0, min(branch.ostium + round(OUTSIDE_MM), len(line) - 1 - round(TIP_MM) // 2))
     ahead = line[min(start + 3, len(line) - 1)] - line[max(0, start - 3)]
-    sections = inward(line[start], ahead / max(float(np.linalg.norm(ahead)), 1e-12), radius_at)
+    length = float(np.linalg.norm(ahead))
+    sections = inward(line[start], ahead / length if length > 1e-6 else branch.axis, radius_at)
     chosen = at_ostium(sections, outside_mm)
     return Opening(name, chosen.centre, chosen.normal, branch.tip, 2.0 * chosen.radius_mm, confidence, "shape")
 
 
-def of_opening(opening: Opening, radius_at: RadiusAt) -> Opening:
-    """From an open vessel's rim inward to its ostium: the junction of vessel and atrium."""
-    chosen = at_ostium(inward(opening.centre - 0.5 * opening.normal, opening.normal, radius_at), 0.0)
+def of_opening(opening: Opening, radius_at: RadiusAt, outside_mm: float = 0.0) -> Opening:
+    """From an open vessel's rim inward to ``outside_mm`` beyond its ostium, the junction of vessel and atrium."""
+    chosen = at_ostium(inward(opening.centre - 0.5 * opening.normal, opening.normal, radius_at), outside_mm)
     return replace(opening, centre=chosen.centre, normal=chosen.normal, diameter_mm=2.0 * chosen.radius_mm)
 
 
