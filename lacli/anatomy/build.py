@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lacli.anatomy.coordinates import describe as coordinates
-from lacli.anatomy.inputs import extraction
+from lacli.anatomy.inputs import extraction, patches, repair
+from lacli.anatomy.inputs.anything import Mesh
 from lacli.anatomy.inputs.image import Image
+from lacli.anatomy.inputs.patches import Tagged
 from lacli.anatomy.inputs.repair import Repaired
 from lacli.anatomy.openings import clipping, finding, trunk
 from lacli.anatomy.openings.candidate import Candidate
@@ -107,11 +109,35 @@ def _box(mask: Image, labels: Image) -> tuple[NDArray[np.int64], NDArray[np.int6
     return low, low + np.array(mask.array.shape[::-1])
 
 
+def from_mesh(
+    mesh: Mesh,
+    options: Options,
+    given: Landmarks | None = None,
+    axes: Axes | None = None,
+    say: Say = print,
+    unit: str | None = None,
+) -> Built:
+    """Bundle from any mesh of an atrium; ``unit``: of repair.UNITS, None: told from the size."""
+    say("repairing the surface")
+    repaired = repair.repair(mesh.points, mesh.triangles, unit, mesh.outer)
+    repaired = replace(repaired, notes=(*mesh.notes, *repaired.notes))
+    tagged = None
+    if mesh.tag is not None:
+        tagged = patches.of_triangles(repaired.scale * mesh.points, mesh.triangles, mesh.tag)
+    return from_surface(repaired, options, given, axes, say, tagged)
+
+
 def from_surface(
-    repaired: Repaired, options: Options, given: Landmarks | None = None, axes: Axes | None = None, say: Say = print
+    repaired: Repaired,
+    options: Options,
+    given: Landmarks | None = None,
+    axes: Axes | None = None,
+    say: Say = print,
+    tagged: Tagged | None = None,
 ) -> Built:
     """Bundle from a repaired surface; ``axes`` None: left and right are told from the shape."""
-    return _from_closed(repaired.surface, repaired.rims, axes, options, given, say, list(repaired.notes), None, repaired.outer)
+    seen = list(repaired.rims) if tagged is None else patches.candidates(repaired.surface, repaired.rims, tagged)
+    return _from_closed(repaired.surface, seen, axes, options, given, say, list(repaired.notes), None, repaired.outer)
 
 
 def _from_closed(

@@ -72,24 +72,37 @@ def read(path: Path) -> tuple[FloatArray, IntArray]:
     return points, triangles
 
 
-def unit_scale(points: FloatArray) -> tuple[float, str]:
-    """Factor to millimetres and a sentence about it, from the size: an atrium with its veins is 4 - 25 cm wide.
+UNITS = {"mm": (1.0, "millimetres"), "um": (1e-3, "micrometres"), "m": (1e3, "metres"), "cm": (10.0, "centimetres")}
 
-    Raises AnatomyError where the size fits no unit.
+
+def unit_scale(points: FloatArray, unit: str | None = None) -> tuple[float, str]:
+    """Factor to millimetres and a sentence about it: of the ``unit`` given (of UNITS), else from the size, an atrium with its
+    veins being 4 - 25 cm wide.
+
+    Raises AnatomyError where the size fits no unit, or not the one given.
     """
     width = float(np.ptp(points, axis=0).max())
-    for factor, unit in ((1.0, "millimetres"), (1e-3, "micrometres"), (1e3, "metres"), (10.0, "centimetres")):
+    if unit is not None:
+        factor, name = UNITS[unit]
+        if not 25.0 <= width * factor <= 400.0:
+            raise AnatomyError(
+                f"the surface is {width:.4g} units wide: in {name} that is {width * factor:.4g} mm, no left atrium; "
+                "leave --unit out, and it is told from the size."
+            )
+        return factor, "" if factor == 1.0 else f"lengths in {name}, as said, were scaled to mm"
+    for factor, unit in UNITS.values():
         if 25.0 <= width * factor <= 400.0:
             words = "" if factor == 1.0 else f"the surface is {width:.4g} units wide: taken as {unit}, scaled to mm"
             return factor, words
     raise AnatomyError(f"the surface is {width:.4g} units wide, which is no left atrium in mm, micrometres, cm or m; rescale it.")
 
 
-def repair(points: FloatArray, triangles: IntArray) -> Repaired:
+def repair(points: FloatArray, triangles: IntArray, unit: str | None = None, outside: IntArray | None = None) -> Repaired:
     """A closed, outward oriented surface in mm from whatever triangles there are.
 
     Clean surfaces keep their triangles and get caps over their openings. Where edges stay non-manifold, or holes are many, the
-    surface is rebuilt from voxels (0.5 mm). Raises AnatomyError where there is no closed cavity to be had.
+    surface is rebuilt from voxels (0.5 mm). ``outside``: triangles of the wall's outer side, where the input tells it. Raises
+    AnatomyError where there is no closed cavity to be had.
     """
     notes: list[str] = []
     bad = np.asarray(~np.isfinite(points).all(axis=1))
@@ -101,18 +114,20 @@ def repair(points: FloatArray, triangles: IntArray) -> Repaired:
         if len(triangles) == 0:
             raise AnatomyError("no triangle has finite coordinates.")
         points, triangles = _used(points, triangles)
-    scale, words = unit_scale(points[np.unique(triangles)])
+    scale, words = unit_scale(points[np.unique(triangles)], unit)
     if words:
         notes.append(words)
     points = points * scale
+    outer = None if outside is None else _bare(points, outside)
     if len(triangles) > MANY_TRIANGLES:
         before = len(triangles)
         points, triangles = _cluster(points, triangles)
         notes.append(f"{before} triangles were thinned to {len(triangles)}")
     points, triangles = _merge(points, triangles, notes)
     triangles = _mended(triangles, notes)
-    triangles, outside = _inner(points, triangles, notes)
-    outer = None if outside is None else Surface(*_used(points, outside), np.zeros(len(outside), dtype=np.int64))
+    if outer is None:
+        triangles, outside = _inner(points, triangles, notes)
+        outer = None if outside is None else _bare(points, outside)
     triangles = _largest(points, triangles, notes)
     points, triangles = _used(points, triangles)
     triangles, manifold = _orient(triangles, notes)
@@ -160,6 +175,10 @@ def voxel_field(surface: Surface, spacing_mm: float) -> Image:
     """A closed surface as a field, about 1 inside and 0 outside, on an isotropic grid."""
     field = voxels(surface, spacing_mm)
     return field.with_array(ndimage.gaussian_filter(field.array, 0.7))
+
+
+def _bare(points: FloatArray, triangles: IntArray) -> Surface:
+    return Surface(*_used(points, triangles), np.zeros(len(triangles), dtype=np.int64))
 
 
 def _used(points: FloatArray, triangles: IntArray) -> tuple[FloatArray, IntArray]:

@@ -139,6 +139,8 @@ def triangulate_loop(points: FloatArray, rim: IntArray, normal: FloatArray) -> t
     before = np.roll(flat, 1, axis=0)
     if np.sum(before[:, 0] * flat[:, 1] - before[:, 1] * flat[:, 0]) < 0:
         rim, ring, flat = rim[::-1], ring[::-1], flat[::-1]
+    if crosses_itself(flat):  # gmsh may never return from such a curve
+        raise AnatomyError("An opening's rim cannot be filled with triangles: its projection crosses itself.")
     gmsh.initialize(["lacli", "-v", "0"], readConfigFiles=False, interruptible=False)
     try:
         gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 1)
@@ -164,6 +166,24 @@ def triangulate_loop(points: FloatArray, rim: IntArray, normal: FloatArray) -> t
     inner = middle + position[len(rim) :] @ plane + height[len(rim) :, None] * normal
     ids = np.concatenate([rim, len(points) + np.arange(len(inner))])
     return inner, ids[triangles]
+
+
+def crosses_itself(ring: FloatArray) -> bool:
+    """Whether two sides of a closed plane curve (k, 2) cross or touch (neighbours apart), or a side has no length."""
+    a, b = ring, np.roll(ring, -1, axis=0)
+    size = float(np.ptp(ring, axis=0).max())
+    if (np.linalg.norm(b - a, axis=1) < 1e-6 * size).any():
+        return True
+
+    def side(p: FloatArray, q: FloatArray, r: FloatArray) -> FloatArray:
+        u, v = q[:, None] - p[:, None], r[None] - p[:, None]
+        return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
+
+    k = len(ring)
+    first, second = side(a, b, a), side(a, b, b)
+    crossed = (first * second <= 0) & (first * second <= 0).T
+    gap = np.abs(np.arange(k)[:, None] - np.arange(k)[None])
+    return bool(crossed[(gap > 1) & (gap < k - 1)].any())
 
 
 def harmonic_heights(triangles: IntArray, rim_height: FloatArray, size: int) -> FloatArray:

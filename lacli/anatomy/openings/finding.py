@@ -11,7 +11,7 @@ from scipy import ndimage
 from lacli.anatomy.inputs.image import Image
 from lacli.anatomy.openings import branches, naming, ostium
 from lacli.anatomy.openings.branches import Branch, Skeleton
-from lacli.anatomy.openings.candidate import BRANCH, CAP, CONTACT, GIVEN, RIM, Candidate, halves, place
+from lacli.anatomy.openings.candidate import BRANCH, CAP, CONTACT, GIVEN, PATCH, RIM, Candidate, halves, place
 from lacli.anatomy.openings.landmarks import Axes, Landmarks, Opening, override
 from lacli.anatomy.openings.mitral import mitral_from_shape
 from lacli.base.arrays import FloatArray
@@ -187,6 +187,9 @@ def _opening(
     as_it_is = Opening(name, at, way, beyond, candidate.diameter_mm, confidence, candidate.source, candidate.cap)
     if name == "mv" or (candidate.cap == 0 and branch is None):
         return as_it_is
+    if candidate.source == PATCH:
+        out = min(ring_mm, 0.5 * candidate.length_mm)
+        return replace(as_it_is, centre=at + out * way)
     if candidate.cap:
         inside = ostium.of_opening(as_it_is, cast, ring_mm)
         near = float(np.linalg.norm(inside.centre - at)) <= KEPT_STUB_MM
