@@ -57,8 +57,8 @@ def shells(points: FloatArray, tets: IntArray, tag: IntArray) -> tuple[IntArray,
     rims = len(paths.loops(paths.open_edges(faces[inner])))
     if rims > MANY_RIMS:
         raise AnatomyError(
-            f"the inner side of the tetrahedra comes out in rags ({rims} rims where a wall has 5 or 6): cells are cut along their "
-            "faces at the openings. Give the endocardium as a surface (.vtp, .stl or CARP Tr elements)."
+            f"the inner side of the tetrahedra comes out in rags ({rims} rims where a wall has 5 or 6): cells are cut along "
+            "their faces at the openings. Give the endocardium as a surface (.vtp, .stl or CARP Tr elements)."
         )
     return faces[inner], tags[inner], faces[outer]
 

@@ -84,7 +84,10 @@ def find(
         )
     openings |= _further(everything, branch_of, named, openings, cast, ring_mm, notes)
     if "appendage" not in openings:
-        notes.append("no appendage was found; its ring and plane are left out")
+        notes.append(
+            "no appendage was found; its ring and plane are left out. If the file has one, and lacks a vein, the appendage "
+            "may have been taken for that vein: look at the picture"
+        )
     ordered = sorted(openings, key=lambda n: (OPENINGS.index(n) if n in OPENINGS else 99, n))
     landmarks = Landmarks({n: openings[n] for n in ordered}, {}, tuple(notes))
     return Found(override(landmarks, given), tuple(everything), named)

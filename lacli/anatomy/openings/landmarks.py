@@ -117,7 +117,7 @@ def read(path: Path) -> Landmarks:
             if value and value not in OPENINGS:
                 raise AnatomyError(f"{path}: {name}.{key} is '{value}'; the known openings are {', '.join(OPENINGS)}.")
         diameter = float(table.get("diameter_mm", 0.0))
-        openings[name] = Opening(name, centre, normal / size, beyond, diameter, 1.0, "landmarks file", **others)
+        openings[name] = Opening(name, centre, normal / size, beyond, diameter, 1.0, "landmarks file", 0, **others)
     return Landmarks(openings, sides)
 
 
