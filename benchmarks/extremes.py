@@ -16,7 +16,8 @@ from scipy.stats import qmc
 
 from lacli.contracts import bundle as bundles
 from lacli.contracts.motion import save_motion
-from lacli.contracts.scene import build_scene, parameter_box, with_parameters
+from lacli.contracts.parameters import parameter_box
+from lacli.contracts.scene import build_scene, with_parameters
 from lacli.mechanics.execute import run_scenes
 from lacli.synthetic.atrium import synthesize
 

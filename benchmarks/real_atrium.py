@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from lacli.anatomy.inputs.tagged import read_tagged
+from lacli.anatomy.surface_features import endocardial_regions
 from lacli.contracts import bundle as bundles
 from lacli.contracts.labels import REGIONS
 from lacli.contracts.motion import save_motion
 from lacli.contracts.scene import build_scene
-from lacli.mechanics.features import endocardial_regions, triangle_shapes
+from lacli.geometry.quadrature import triangle_shapes
 from lacli.mechanics.simulation import run_scene
 from lacli.motion.annulus import descend
 

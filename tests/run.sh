@@ -10,6 +10,8 @@ say "ruff"
 "$BIN/ruff" format --check .
 say "mypy"
 "$BIN/mypy"
+say "order of the rooms"
+"$BIN/lint-imports"
 say "pytest"
 # the installed package is tested, not the checkout: pytest must not put the root on the path
 "$BIN/pytest" -n 2 "$@"

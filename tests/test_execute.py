@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -10,15 +11,15 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
 
-from lacli.base.errors import StorageError, UsageError
+from lacli.base.errors import MachineError, StorageError, UsageError
 from lacli.contracts.scene import Scene, dump_scene
 from lacli.mechanics import execute
 from lacli.mechanics.execute import run_scenes
+from lacli.mechanics.places import pool
 from lacli.mechanics.store import list_runs, open_run
 
 SceneOf = Callable[..., Scene]
@@ -38,10 +39,20 @@ class Result:
 
 
 def stored(scene: Scene, root: Path, on_progress: Callable[[Any], None] | None = None) -> Result:
-    """EDP up to 3: waits EDP x 0.1 s; 4: fails; 5: the disk is full; 6: the process is shot; 7: a bug; 8: hangs."""
+    """EDP up to 3: waits EDP x 0.1 s; 4: fails; 5: the disk is full; 6: the process is shot; 7: a bug; 8: hangs; at its first
+    time 9: is shot, 10: has no memory, 11: its FreeFEM is killed when it is tried."""
     edp = scene.loads.edp_mmhg
     with open_run(root, scene) as run:
         if run.stored is None:
+            first = root / f"first-{edp}"
+            if edp > 8 and not first.exists():
+                first.touch()
+                if edp == 9:
+                    os.kill(os.getpid(), signal.SIGKILL)
+                if edp == 11:
+                    raise MachineError("killed", "FreeFEM was killed when it was tried.")
+                run.finish("failed", kind="out_of_memory", message="no memory")
+                return Result(run.key, run.folder, "failed", "out_of_memory", "no memory")
             if on_progress is not None:
                 on_progress({"load": edp})
             if edp == 4:
@@ -53,7 +64,7 @@ def stored(scene: Scene, root: Path, on_progress: Callable[[Any], None] | None =
             elif edp == 7:
                 raise ZeroDivisionError("a bug")
             else:
-                time.sleep(60 if edp == 8 else edp * 0.1)
+                time.sleep(60 if edp == 8 else min(edp, 3) * 0.1)
                 run.finish(peak_memory_mb=100.0, process=os.getpid())
         assert run.stored is not None
         return Result(run.key, run.folder, run.stored.status, run.stored.kind, manifest=run.stored.manifest)
@@ -92,18 +103,22 @@ def test_what_stops_every_run_is_raised(scene_of: SceneOf, tmp_path: Path, edp: 
         list(run_scenes(scenes(scene_of, edp), tmp_path / "runs", workers=1, task=stored))
 
 
-def test_a_worker_shot_twice_is_a_failed_run_and_the_others_go_on(
-    scene_of: SceneOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    stand_in = ModuleType("lacli.mechanics.simulation")
-    stand_in.RunResult = Result  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "lacli.mechanics.simulation", stand_in)
+def test_a_run_whose_process_is_shot_three_times_is_given_up_and_not_kept(scene_of: SceneOf, tmp_path: Path) -> None:
     root = tmp_path / "runs"
     results = dict(run_scenes(scenes(scene_of, 6, 0.1), root, workers=1, task=stored))
     assert (results[0].status, results[0].kind) == ("failed", "killed")
+    assert "3 x" in results[0].message and "SIGKILL" in results[0].message
+    assert re.search(r"It was seen to take \d+ MB; this .*(has|may use) \d+ MB", results[0].message)
     assert results[1].status == "done"
-    assert sorted(run.status for run in list_runs(root)) == ["done", "failed"]
-    assert not list(root.glob(".tmp-*"))
+    assert [run.key for run in list_runs(root)] == [results[1].key]
+    assert not list(root.glob(".tmp-*")) and not list((root / ".locks").iterdir())
+
+
+def test_a_run_that_the_machine_ends_once_is_done_all_the_same(scene_of: SceneOf, tmp_path: Path) -> None:
+    root = tmp_path / "runs"
+    for kind in (9, 10, 11):
+        (result,) = dict(run_scenes(scenes(scene_of, kind), root, workers=2, task=stored)).values()
+        assert result.status == "done"
 
 
 def test_closing_the_iterator_ends_the_workers_cleanly(scene_of: SceneOf, tmp_path: Path) -> None:
@@ -121,6 +136,7 @@ import sys
 sys.path.insert(0, {tests!r})
 from pathlib import Path
 from lacli.mechanics.execute import run_scenes
+from lacli.mechanics.places import pool
 from lacli.contracts.scene import load_scene
 from test_execute import stored
 if __name__ == "__main__":
@@ -165,15 +181,19 @@ def state(pid: str) -> str:
 
 
 def test_little_memory_means_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(execute, "memory_mb", lambda: (2000.0, 900.0))
+    for module in (execute, pool):
+        monkeypatch.setattr(module, "memory_mb", lambda: (2000.0, 900.0))
     assert execute.default_workers() == 1
-    busy = execute._Worker(None, None, index=0)
-    idle = execute._Worker(None, None)
-    assert execute._may_start([idle], 4, 5000.0), "one always runs"
-    assert not execute._may_start([busy, idle], 4, 0.0)
-    assert execute._may_start([busy, idle], 4, 700.0)
-    assert not execute._may_start([busy, idle], 4, 800.0)
-    assert not execute._may_start([busy, idle], 1, 10.0)
+    busy = pool.Worker(None, None, index=0)  # type: ignore[arg-type]
+    idle = pool.Worker(None, None)  # type: ignore[arg-type]
+    assert pool.may_start([idle], 4, 5000.0, 1, set()), "one always runs"
+    assert not pool.may_start([busy, idle], 4, 0.0, 1, set())
+    assert pool.may_start([busy, idle], 4, 700.0, 1, set())
+    assert not pool.may_start([busy, idle], 4, 800.0, 1, set())
+    assert not pool.may_start([busy, idle], 1, 10.0, 1, set())
+    assert not pool.may_start([busy, idle], 4, 10.0, 1, {1}), "it had too little memory beside others"
+    assert not pool.may_start([busy, idle], 4, 10.0, 1, {0}), "the other one had"
+    assert pool.may_start([idle], 4, 10.0, 1, {1})
 
 
 def test_cluster_has_the_same_interface(scene_of: SceneOf, tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from lacli.base import files
 from lacli.base.errors import AnatomyError, StorageError
 from lacli.base.files import check_file, check_folder, replacing, write_json, write_text
 from lacli.contracts import identity
+from lacli.contracts.failures import MACHINE
 from lacli.contracts.identity import run_key
 from lacli.contracts.scene import Scene, dump_scene, load_scene
 from lacli.mechanics import store
@@ -140,12 +141,18 @@ def test_failed_run_stays_and_counts(scene_of: SceneOf, tmp_path: Path) -> None:
     assert [run.status for run in list_runs(root)] == ["done"]
 
 
-@pytest.mark.parametrize("kind", sorted(store.TRANSIENT_KINDS))
-def test_failures_of_the_machine_run_again(scene_of: SceneOf, tmp_path: Path, kind: str) -> None:
+@pytest.mark.parametrize("kind", sorted(MACHINE))
+def test_failures_of_the_machine_are_told_and_not_kept(scene_of: SceneOf, tmp_path: Path, kind: str) -> None:
     root, scene = tmp_path / "runs", scene_of()
     with open_run(root, scene) as run:
-        run.finish("failed", kind=kind)
-    assert [stored.kind for stored in list_runs(root)] == [kind]
+        (run.folder / "half.txt").write_text("half")
+        told = run.finish("failed", kind=kind, message="why")
+    assert (told.status, told.kind, told.message) == ("failed", kind, "why")
+    assert visible(root) == [] and list_runs(root) == []
+    # one that an earlier version kept counts no more
+    (root / run.key).mkdir()
+    write_json(root / run.key / "manifest.json", {"key": run.key, "status": "failed", "kind": kind, "products": {}})
+    assert find_run(root, run.key) is None
     finished(root, scene)
     assert [stored.status for stored in list_runs(root)] == ["done"]
 

@@ -36,7 +36,7 @@ def measure(bundle: Bundle) -> tuple[dict[str, Any], Thickness]:
         "scaled_jacobian_share_below_0.2": float((quality < 0.2).mean()),
         "inverted_cells": int((volume <= 0).sum()),
         "cavity_volume_ml": bundle.cavity_volume_ml(),
-        "wall_volume_ml": float(volume[bundle.region < 20].sum() / 1000.0),
+        "wall_volume_ml": bundle.wall_volume_ml(),
         "region_volume_ml": {
             n: float(volume[bundle.region == v].sum() / 1000.0) for n, v in names.items() if (bundle.region == v).any()
         },

@@ -43,5 +43,9 @@ class SimulationError(LacliError):
         self.kind = kind
 
 
+class MachineError(SimulationError):
+    """The machine, not the scene, ended something: killed, no memory, a lost worker (``lacli.contracts.failures``)."""
+
+
 class StorageError(LacliError):
     """A result could not be written (disk full, no permission)."""

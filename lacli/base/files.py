@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import Any
 
 from lacli.base.errors import StorageError
+from lacli.base.machine import FULL, full_words
 
 # what numpy raises on an .npz file that is cut short, overwritten in the middle, or no such file at all
 DAMAGED = (
     OSError, EOFError, KeyError, IndexError, ValueError, TypeError, RuntimeError, MemoryError,
     struct.error, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
-_FULL = (errno.ENOSPC, errno.EDQUOT)
 _IN_THE_WAY = "{}: a folder of that name is in the way. Choose another name."
 
 
@@ -47,18 +47,18 @@ def replacing(path: Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
-def check_folder(folder: Path) -> None:
-    """Before the work: whether the folder is one, or can be made. Raises StorageError; leaves nothing."""
+def check_folder(folder: Path, option: str = "--out") -> None:
+    """Before the work: whether the folder is one, or can be made. Raises StorageError, which names ``option``; leaves nothing."""
     there = next(p for p in (folder, *folder.absolute().parents) if p.exists() or p.is_symlink())
     if not there.is_dir():
         what = "a file" if there.exists() else "a link that leads nowhere"
-        raise StorageError(f"{folder}: cannot be written, {there} is {what}; choose another --out.")
+        raise StorageError(f"{folder}: cannot be written, {there} is {what}; choose another {option}.")
     try:  # permissions do not tell of file systems that are read-only, or none
         with tempfile.TemporaryDirectory(prefix=".part-", dir=there):
             pass
     except OSError as error:
         raise StorageError(
-            f"{folder}: cannot be written, nothing can be made in {there} ({error.strerror}); choose another --out."
+            f"{folder}: cannot be written, nothing can be made in {there} ({error.strerror}); choose another {option}."
         ) from None
 
 
@@ -106,14 +106,13 @@ def storing(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def room(path: Path) -> Iterator[None]:
-    """A full disk becomes StorageError."""
+    """A full disk, or a file larger than allowed, becomes StorageError."""
     try:
         yield
     except OSError as error:
-        if error.errno not in _FULL:
+        if error.errno not in FULL:
             raise
-        text = f"{error.filename or path}: the disk is full. Free some space and run again; what was finished is kept."
-        raise StorageError(text) from error
+        raise StorageError(full_words(error.filename or path, error.errno)) from error
 
 
 def _sync(path: Path) -> None:

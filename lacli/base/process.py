@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import errno
-import functools
 import os
 import selectors
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-_LIBC = ctypes.CDLL(None, use_errno=True)
-_PR_SET_PDEATHSIG = 1
+from lacli.base import launch
+from lacli.base.machine import FULL, free_bytes, memory_mb, status_kb
+
 _TICK_S = 0.2
 _LAST_LINES = 40
 _LONGEST_LINE = 1 << 20
-DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
+_wanted: ContextVar[Callable[[], bool] | None] = ContextVar("wanted", default=None)
 
 
 @dataclass(frozen=True)
@@ -43,19 +43,58 @@ class Ended:
     last_lines: tuple[str, ...]
 
 
-def mortal(command: Sequence[str]) -> dict[str, Any]:
-    """Arguments of subprocess.Popen for a child that the kernel kills when the calling thread ends, even by kill -9."""
-    if tool := shutil.which("setpriv"):
-        return {"args": [tool, "--pdeathsig", "KILL", "--", *command]}
-    # code between fork and exec is unsafe beside threads, so only where util-linux is missing
-    return {"args": list(command), "preexec_fn": functools.partial(die_with_parent, os.getpid())}
+def mortal(command: Sequence[str], family: bool = False) -> list[str]:
+    """A command that the kernel kills when the thread that starts it ends, even by kill -9.
+
+    family: with all that it starts, for programs whose children do not end with them; it must lead a session of its own
+    (``start_new_session``). Raises FileNotFoundError where there is no such program.
+    """
+    if shutil.which(command[0]) is None:
+        raise FileNotFoundError(errno.ENOENT, "no such program", command[0])
+    way = "family" if family else "alone"
+    return [sys.executable, "-I", "-S", launch.__file__, way, str(os.getpid()), *command]
 
 
-def die_with_parent(parent: int) -> None:
-    """Ask the kernel to kill this process when its parent, which must be ``parent``, ends."""
-    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-    if os.getppid() != parent:  # it died before the call above
-        os._exit(127)
+@contextlib.contextmanager
+def while_wanted(wanted: Callable[[], bool]) -> Iterator[None]:
+    """Within the block, what ``supervise`` runs in this thread is ended when ``wanted`` says no (``cut`` is ``cancelled``)."""
+    token = _wanted.set(wanted)
+    try:
+        yield
+    finally:
+        _wanted.reset(token)
+
+
+def is_wanted() -> bool:
+    """Whether this thread shall go on; always outside ``while_wanted``."""
+    wanted = _wanted.get()
+    return wanted is None or wanted()
+
+
+def answer_of(
+    command: Sequence[str], *, timeout_s: float, cwd: Path | None = None, env: Mapping[str, str] | None = None
+) -> subprocess.CompletedProcess[str]:
+    """What a short command prints; as ``subprocess.run`` with captured text, but neither it nor its children outlive us.
+
+    Raises OSError where it does not start, TimeoutExpired where it takes longer.
+    """
+    with subprocess.Popen(
+        mortal(command, family=True),
+        cwd=cwd,
+        env=None if env is None else dict(env),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",
+        start_new_session=True,
+    ) as child:
+        try:
+            out, err = child.communicate(timeout=timeout_s)
+        finally:
+            if child.returncode is None:
+                _kill_group(child)
+    return subprocess.CompletedProcess(list(command), child.returncode, out, err)
 
 
 def supervise(
@@ -66,18 +105,20 @@ def supervise(
     log: Path,
     timeout_s: float,
     on_line: Callable[[str], None] | None = None,
+    family: bool = False,
 ) -> Ended:
     """Run ``command``, append what it prints to ``log`` as it comes, pass each line to ``on_line``.
 
     The child leads its own session; it and its children are killed on time-out, on a full disk, when the machine's
-    memory runs out, and on any exception here (Ctrl-C included). ``cut`` is then ``timeout``, ``disk_full`` or
-    ``out_of_memory``. Raises OSError if the command cannot be started.
+    memory runs out, when it is no longer wanted, and on any exception here (Ctrl-C included). ``cut`` is then
+    ``timeout``, ``disk_full``, ``out_of_memory`` or ``cancelled``. family: also when kill -9 ends us, at the cost of a
+    process more. Raises OSError if the command cannot be started.
     """
-    own_memory_kb = _status_kb(os.getpid(), "VmHWM")
+    own_memory_kb = status_kb(os.getpid(), "VmHWM")
     start = time.monotonic()
     with log.open("ab", buffering=0) as sink:
         child = subprocess.Popen(
-            **mortal(command),
+            mortal(command, family),
             cwd=cwd,
             env=dict(env),
             stdin=subprocess.DEVNULL,
@@ -90,8 +131,7 @@ def supervise(
             cut = watch.until_exit()
         finally:
             # the child is not reaped yet, so its group's number cannot belong to anybody else
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.killpg(child.pid, signal.SIGKILL)
+            _kill_group(child)
             _, status, usage = os.wait4(child.pid, 0)
             child.returncode = os.waitstatus_to_exitcode(status)
             watch.close()
@@ -106,6 +146,11 @@ def supervise(
         last_memory_share=watch.memory_share,
         last_lines=tuple(watch.last),
     )
+
+
+def _kill_group(child: subprocess.Popen[bytes] | subprocess.Popen[str]) -> None:
+    with contextlib.suppress(ProcessLookupError, PermissionError):
+        os.killpg(child.pid, signal.SIGKILL)
 
 
 class _Watch:
@@ -145,7 +190,7 @@ class _Watch:
                         self._flush()
                         return None
                 except OSError as error:
-                    if error.errno in DISK_FULL:
+                    if error.errno in FULL:
                         return "disk_full"
                     raise
                 if cut := self._over_limit():
@@ -185,59 +230,14 @@ class _Watch:
             return "timeout"
         if now < self._next_tick:
             return None
+        if not is_wanted():
+            return "cancelled"
         self._next_tick = now + _TICK_S
-        self.peak_kb = max(self.peak_kb, _status_kb(self.child.pid, "VmHWM"))
-        resident = _status_kb(self.child.pid, "VmRSS")
+        self.peak_kb = max(self.peak_kb, status_kb(self.child.pid, "VmHWM"))
+        resident = status_kb(self.child.pid, "VmRSS")
         total, available = memory_mb()
         self.memory_share = resident / 1024 / total
         # the kernel would kill somebody next; better the greedy one, with its name on it
         if available < 0.01 * total and self.memory_share > 0.2:
             return "out_of_memory"
         return "disk_full" if free_bytes(self.folder) < 1 << 14 else None
-
-
-def memory_mb() -> tuple[float, float]:
-    """Total and available memory of the machine in MB, the smaller of the machine's and the container's."""
-    fields = dict(line.split(":", 1) for line in Path("/proc/meminfo").read_text().splitlines())
-    total, available = (float(fields[name].split()[0]) / 1024 for name in ("MemTotal", "MemAvailable"))
-    with contextlib.suppress(OSError, ValueError):
-        limit = int(Path("/sys/fs/cgroup/memory.max").read_text()) / 2**20
-        used = int(Path("/sys/fs/cgroup/memory.current").read_text()) / 2**20
-        # cached files count as used there, but give way
-        cache = next(
-            int(line.split()[1]) / 2**20
-            for line in Path("/sys/fs/cgroup/memory.stat").read_text().splitlines()
-            if line.startswith("file ")
-        )
-        total, available = min(total, limit), min(available, limit - used + cache)
-    return total, available
-
-
-def free_bytes(folder: Path) -> int:
-    """Bytes that can still be written where ``folder`` is."""
-    state = os.statvfs(folder)
-    blocks = state.f_bfree if os.geteuid() == 0 else state.f_bavail
-    return blocks * state.f_frsize if state.f_blocks else 1 << 40
-
-
-def disk_is_full(folder: Path) -> bool:
-    """Whether 64 kB cannot be written into ``folder`` any more (quotas included)."""
-    probe = folder / f".probe-{os.getpid()}"
-    try:
-        with probe.open("wb", buffering=0) as stream:
-            written = stream.write(bytes(1 << 16))
-            os.fsync(stream.fileno())
-        return written < 1 << 16
-    except OSError as error:
-        return error.errno in DISK_FULL
-    finally:
-        probe.unlink(missing_ok=True)
-
-
-def _status_kb(pid: int, field: str) -> float:
-    """A memory figure of /proc/<pid>/status in kB, 0 where there is none (a zombie)."""
-    with contextlib.suppress(OSError):
-        for line in Path(f"/proc/{pid}/status").read_text().splitlines():
-            if line.startswith(field):
-                return float(line.split()[1])
-    return 0.0

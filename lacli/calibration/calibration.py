@@ -7,10 +7,9 @@ all random numbers come from the seed and the step's number: an interrupted cali
 from __future__ import annotations
 
 import itertools
-import json
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,17 +18,22 @@ import numpy as np
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import InputError, LacliError, UsageError
 from lacli.base.files import DAMAGED, replacing, write_json
+from lacli.contracts.identity import Identity, conflict, flatten, identify, parse_identity, read_identity, write_identity
 from lacli.contracts.targets import Targets
 from lacli.inference import posterior as mcmc
 from lacli.inference.box import Box
 from lacli.inference.design import design
 from lacli.inference.emulation.emulator import fit_emulators
-from lacli.inference.emulation.emulator_set import EmulatorSet, load_emulators, save_emulators
+from lacli.inference.emulation.emulator_set import EmulatorSet, emulators_identity, load_emulators, save_emulators
 from lacli.inference.emulation.feasibility import learn
 from lacli.inference.likelihood import Density
 from lacli.inference.matching import Match, Region, Wave, match, next_runs, ruled_out_by
 from lacli.inference.nroy import EmptyRegionError, RegionSample
 from lacli.inference.runs import RunLog, Simulator
+
+FILE = "calibration.json"  # the identity of the calibration in a folder
+# settings that say how far to go, not where: with others a calibration goes on
+BUDGETS = frozenset({"max_waves", "max_runs", "hours", *(f"mcmc.{name}" for name in mcmc.STOPPING)})
 
 
 @dataclass(frozen=True)
@@ -133,7 +137,11 @@ def calibrate(
         )
     begin = time.monotonic()
     folder.mkdir(parents=True, exist_ok=True)
-    _same_settings(folder, box, targets, settings, given)
+    identity = calibration_identity(
+        box, targets, settings, given_runs(log, given, targets) if given is not None else log.identity
+    )
+    if words := obstacle(folder, identity):
+        raise UsageError(f"{folder} {words}. Choose another --out.")
     x = given if given is not None else design(box, settings.first_runs, "sobol", settings.seed)
     region, stopped = Region(box), ""
     reports: list[WaveReport] = []
@@ -161,6 +169,8 @@ def calibrate(
                 + ruled_out_by(wave, error.best[None])
                 + ". Check the targets' units and standard deviations, or widen the box."
             ) from error
+        if number == 1:  # not sooner: targets or a box that leave nothing may be put right and tried again here
+            write_identity(folder / FILE, identity)
         samples.append(found.sample)
         r2 = {e.output: e.held_out_r2 for e in emulators.emulators}
         counts = (len(finished_x), len(failed_x))
@@ -201,7 +211,7 @@ def calibrate(
     result = Calibration(
         tuple(reports), region, emulators, tuple(samples), chain, map_x, table, fit, rmse, draws, stopped, x
     )  # fmt: skip
-    write_json(folder / "result.json", document(result))
+    write_json(folder / "result.json", {"identity": identity.digest, **document(result)})
     return result
 
 
@@ -230,25 +240,25 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-def _same_settings(folder: Path, box: Box, targets: Targets, settings: Settings, given: FloatArray | None) -> None:
-    """A folder holds one calibration: with other targets or settings its files would be mixed up. Budgets may change."""
-    budget_free = replace(
-        settings, max_runs=0, hours=0.0, max_waves=0, mcmc=replace(settings.mcmc, max_steps=0, ess=0.0, rhat=0.0)
-    )
-    content = {
-        "box": {n: [float(a), float(b)] for n, a, b in zip(box.names, box.lower, box.upper, strict=True)},
-        "targets": {n: [float(m), float(s)] for n, m, s in zip(targets.names, targets.mean, targets.sd, strict=True)},
-        "settings": {**asdict(budget_free), "thresholds": list(settings.thresholds)},
-        "given_runs": 0 if given is None else len(given),
-    }
-    file = folder / "calibration.json"
-    if file.is_file():
-        if json.loads(file.read_text(encoding="utf-8")) != json.loads(json.dumps(content)):
-            raise UsageError(
-                f"{folder}: holds a calibration with other targets, box or settings. Use another --out, or remove it."
-            )
-    else:
-        write_json(file, content)
+def calibration_identity(box: Box, targets: Targets, settings: Settings, runs: Any, **more: Any) -> Identity:
+    """What determines a calibration: box, targets, settings but for budgets (those may change and it goes on), its runs.
+
+    runs: the identity of its log, or the numbers of a table given.
+    """
+    chosen = {key: value for key, value in flatten(settings).items() if key not in BUDGETS}
+    return identify("calibration", runs=runs, box=box, targets=targets, settings=chosen, **more)
+
+
+def given_runs(log: RunLog, x: FloatArray, targets: Targets) -> dict[str, Any]:
+    """What determines a calibration on the rows x (n, d) of a table from elsewhere: all that the table says of them."""
+    table = log.table(x, targets.names)
+    return {f.name: getattr(table, f.name) for f in fields(table) if f.name != "notes"}
+
+
+def obstacle(folder: Path, identity: Identity) -> str:
+    """Why the folder cannot take the calibration, in words; '' where it is free or holds the same."""
+    file = folder / FILE
+    return conflict(read_identity(file), identity, "a calibration") if file.exists() else ""
 
 
 def _emulators(
@@ -262,18 +272,32 @@ def _emulators(
         )
     table = table.select(targets.names)
     file = place / "emulators.npz"
-    if not file.is_file():
+    identity = emulators_identity(table, starts=settings.starts, seed=settings.seed)
+    # whatever of a wave is not made from what there is now is made again: it costs no runs
+    if not _kept(file, identity):
         done = itertools.count(1)
         fitted = fit_emulators(
             table, starts=settings.starts, seed=settings.seed, tick=lambda: tick(next(done), len(targets.names))
         )
-        save_emulators(file, EmulatorSet(table.inputs, tuple(fitted)))
+        save_emulators(file, EmulatorSet(table.inputs, tuple(fitted)), identity)
     return load_emulators(file), list(table.notes), table.x, table.failed_x
+
+
+def _kept(file: Path, identity: Identity) -> bool:
+    """Whether the .npz file was made from the same. Raises InputError where it is damaged."""
+    if not file.is_file():
+        return False
+    try:
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
+            return "identity" in arrays.files and parse_identity(str(arrays["identity"])) == identity
+    except DAMAGED as error:
+        raise InputError(f"{file}: cannot be read, it is damaged ({error}). Remove it to make it anew.") from error
 
 
 def _match(region: Region, settings: Settings, number: int, place: Path, previous: Match | None) -> Match:
     file = place / "region.npz"
-    if not file.is_file():
+    identity = identify("region", region=region, seed=settings.seed)
+    if not _kept(file, identity):
         found = match(region, seed=settings.seed + number, previous=previous)
         s = found.sample
         with replacing(file) as temporary, temporary.open("wb") as sink:
@@ -287,7 +311,9 @@ def _match(region: Region, settings: Settings, number: int, place: Path, previou
                 found.share_sd,
                 found.change,
             ]
-            np.savez_compressed(sink, points=s.points, level=s.level, numbers=np.array(numbers, float))
+            np.savez_compressed(
+                sink, points=s.points, level=s.level, numbers=np.array(numbers, float), identity=np.array(identity.text())
+            )
     try:
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as a:
             v = [float(value) for value in a["numbers"]]
@@ -322,19 +348,15 @@ def _sample(
 ) -> mcmc.Chain:
     options = replace(settings.mcmc, seed=settings.seed)
     previous = mcmc.load_chain(file) if file.is_file() else None
+    if previous is not None and parse_identity(previous.key) != mcmc.chain_identity(density, options):
+        previous = None  # of fewer waves (a changed budget): it costs no runs, and is sampled anew
 
     def keep(chain: mcmc.Chain) -> None:
         mcmc.save_chain(file, chain)
         monitor(Status("posterior", number, chain.steps, max(chain.steps, 500), reports))
 
     start = sample.points if settings.prior == "nroy" else None
-    try:
-        return mcmc.sample_posterior(density, options, start, previous, keep)
-    except LacliError:
-        if previous is None:
-            raise
-        file.unlink()  # other runs than the chain was made with (a changed budget): sample anew
-        return mcmc.sample_posterior(density, options, start, None, keep)
+    return mcmc.sample_posterior(density, options, start, previous, keep)
 
 
 def _fit(emulators: EmulatorSet, targets: Targets, x: FloatArray, simulated: FloatArray | None) -> list[dict[str, float | str]]:

@@ -2,45 +2,78 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from lacli.contracts.parameters import QUANTITIES
+from lacli.contracts.scene import Scene, load_scene, with_parameters
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from lacli.inference.runs import Outcome, Simulator
+    from lacli.inference.runs import Outcome
+    from lacli.mechanics.simulation import RunResult
+
+
+@dataclass(frozen=True)
+class SceneSimulator:
+    """Runs the scene at each row of inputs, side by side; stored runs are found again by content.
+
+    Its discretisation errors are those measured for the scene itself: they stand for the box around it.
+    """
+
+    scene: Scene
+    root: Path
+    workers: int | None = None
+    scheduler: str | None = None
+
+    def __call__(self, inputs: pd.DataFrame) -> Iterator[tuple[int, Outcome]]:
+        from lacli.mechanics.execute import run_scenes
+
+        errors = self._errors()
+        scenes = [with_parameters(self.scene, {str(k): float(v) for k, v in row.items()}) for row in inputs.to_dict("records")]
+        for index, result in run_scenes(scenes, self.root, workers=self.workers, scheduler=self.scheduler):
+            yield index, _outcome(result, errors)
+
+    def determined_by(self, inputs: Sequence[str]) -> Mapping[str, Any]:
+        """The scene but for what the inputs set, the bundle's content, FreeFEM's scripts, the errors that travel with a run."""
+        from lacli.contracts.identity import determinants, flatten
+
+        given = [QUANTITIES[name].key for name in inputs]
+        kept = {key: value for key, value in flatten(determinants(self.scene)).items() if key not in given}
+        return {**kept, "discretisation_error": self._errors()}
+
+    def _errors(self) -> dict[str, float]:
+        from lacli.mechanics.accuracy import known_errors
+
+        return known_errors(self.scene)
 
 
 def simulator(
     scene_file: Path, root: Path, workers: int | None = None, scheduler: str | None = None, overrides: list[str] | None = None
-) -> Simulator:
-    """A simulator that runs the scene at each row of inputs, side by side; stored runs are found again by content.
+) -> SceneSimulator:
+    """The simulator of a scene file. Raises SceneError.
 
     Neither fields nor the unloaded state are computed (a calibration makes hundreds of runs and reads their features).
     """
-    from lacli.contracts.scene import load_scene, with_parameters
-    from lacli.inference.runs import Outcome
-    from lacli.mechanics.execute import run_scenes
-
     scene = load_scene(scene_file, [*(overrides or []), "outputs.fields=none", "outputs.unloaded=false"])
+    return SceneSimulator(scene, root, workers, scheduler)
 
-    def run(inputs: pd.DataFrame) -> Iterator[tuple[int, Outcome]]:
-        scenes = [with_parameters(scene, {str(k): float(v) for k, v in row.items()}) for row in inputs.to_dict("records")]
-        for index, result in run_scenes(scenes, root, workers=workers, scheduler=scheduler):
-            yield index, _outcome(result)
 
-    def _outcome(result) -> Outcome:  # type: ignore[no-untyped-def]
-        errors = result.features.get("discretisation_error")
-        outputs = {k: float(v) for k, v in result.features.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
-        if result.status != "done":
-            outputs = {}
-        return Outcome(
-            outputs,
-            "done" if result.status == "done" else "failed",
-            result.kind or "",
-            {k: float(v) for k, v in errors.items()} if isinstance(errors, dict) else {},
-            float(outputs.get("cpu_s", float("nan"))),
-        )
+def _outcome(result: RunResult, errors: dict[str, float]) -> Outcome:
+    from lacli.inference.runs import Outcome
 
-    return run
+    features = result.features if result.status == "done" else {}
+    outputs = {k: float(v) for k, v in features.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
+    return Outcome(
+        outputs,
+        "done" if result.status == "done" else "failed",
+        result.kind or "",
+        errors if outputs else {},
+        float(outputs.get("cpu_s", float("nan"))),
+        result.message if result.status != "done" else "",
+        float(result.manifest.get("peak_memory_mb") or float("nan")),
+        int(result.manifest.get("attempts") or 1),
+    )

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from lacli.base.arrays import FloatArray
-from lacli.base.errors import LacliError
+from lacli.base.errors import LacliError, UsageError
 from lacli.base.files import write_json
-from lacli.calibration.calibration import Calibration, Monitor, Settings, calibrate
+from lacli.calibration.calibration import FILE, Calibration, Monitor, Settings, calibrate, calibration_identity, obstacle
+from lacli.contracts.identity import Identity, write_identity
 from lacli.contracts.targets import Targets
 from lacli.inference.box import Box
-from lacli.inference.runs import RunLog, Simulator
+from lacli.inference.runs import RunLog, Simulator, runs_identity
 
 # name: (standard deviation of displacements, mm; of volumes, as a share of the end-diastolic volume)
 NOISE_LEVELS: dict[str, tuple[float, float]] = {"baseline": (0.2, 0.05), "high": (1.0, 0.20)}
@@ -62,6 +63,18 @@ def targets_at(outputs: dict[str, float], names: Sequence[str], displacement_mm:
     return Targets(tuple(names), mean, np.array(sd))
 
 
+def logged(names: Sequence[str]) -> tuple[str, ...]:
+    """Outputs that the log of a verification notes: the targets', and the volume that scales their noise."""
+    return (*names, *(("edv_ml",) if "edv_ml" not in names else ()))
+
+
+def truth_identity(simulator: Simulator, box: Box, names: Sequence[str], truth: FloatArray, settings: Settings) -> Identity:
+    """What determines a verification: the simulator, the box, the truth and its noise, settings but for budgets."""
+    truth_as_targets = Targets(box.names, truth, np.zeros(len(truth)))
+    runs = runs_identity(simulator, box.names, logged(names))
+    return calibration_identity(box, truth_as_targets, settings, runs, noise=NOISE_LEVELS, outputs=list(names))
+
+
 def verify(
     simulator: Simulator, box: Box, names: Sequence[str], truth: FloatArray, settings: Settings, folder: Path, monitor: Monitor
 ) -> list[Recovery]:
@@ -69,12 +82,16 @@ def verify(
 
     Raises LacliError if the simulation at the truth fails.
     """
-    log = RunLog(folder / "runs.csv", box.names, (*names, *(("edv_ml",) if "edv_ml" not in names else ())))
+    identity = truth_identity(simulator, box, names, truth, settings)
+    if words := obstacle(folder, identity):
+        raise UsageError(f"{folder} {words}. Choose another --out.")
+    log = RunLog(folder / "runs.csv", box.names, logged(names), runs_identity(simulator, box.names, logged(names)))
     log.run(simulator, truth[None])
     row = log.frame(truth[None]).iloc[0]
     if str(row["status"]) != "done":
         raise LacliError(f"the simulation at the truth failed ({row['kind']}); choose another with --truth.")
     outputs = {str(k): float(v) for k, v in row.items() if k in (*names, "edv_ml") and np.isfinite(float(v))}
+    write_identity(folder / FILE, identity)
     result = []
     for level, (displacement, volume) in NOISE_LEVELS.items():
         targets = targets_at(outputs, names, displacement, volume)

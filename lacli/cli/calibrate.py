@@ -12,12 +12,14 @@ import typer
 
 from lacli.base.errors import UsageError
 from lacli.cli.console import err, out, print_json, print_table
-from lacli.cli.tables import BoxFile, Json, Seed
+from lacli.cli.tables import BoxFile, Fresh, Json, Retry, Seed, superseded
 
 if TYPE_CHECKING:
     from lacli.calibration.calibration import Calibration, Monitor, Status
     from lacli.contracts.targets import Targets
     from lacli.inference.box import Box
+
+FIGURES = ("region.png", "outputs.png", "corner.png", "trace.png", "fit.png")
 
 
 def command(
@@ -49,6 +51,8 @@ def command(
     overrides: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a key of the scene.")
     ] = None,
+    fresh: Fresh = False,
+    retry: Retry = False,
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
     seed: Seed = 0,
     as_json: Json = False,
@@ -59,7 +63,7 @@ def command(
 
     Example: lacli calibrate scene.toml --targets targets.toml --out patient_1
     """
-    from lacli.calibration.calibration import Settings, calibrate
+    from lacli.calibration.calibration import Settings, calibrate, calibration_identity, obstacle
     from lacli.inference.box import CALIBRATION_INPUTS, OUTPUTS, published_box, read_box
     from lacli.inference.posterior import Settings as Sampling
     from lacli.inference.runs import RunLog
@@ -86,17 +90,25 @@ def command(
         if targets_file is None:
             raise UsageError("--from-table needs --targets.")
         with _dashboard() as monitor:
-            result = _from_table(from_table, targets_file, box_file, settings, folder, monitor)
+            folder, result = _from_table(from_table, targets_file, box_file, settings, folder, fresh, monitor)
         _finish(result, folder, figures, as_json, time.monotonic() - begin, None)
         return
     from lacli.calibration.simulator import simulator
+    from lacli.cli.scenes import read_scene
+    from lacli.contracts.identity import settle
+    from lacli.inference.runs import obstacle as runs_obstacle
+    from lacli.inference.runs import runs_identity
 
     assert scene is not None
+    read_scene(scene, overrides, box)
     run = simulator(scene, root or folder / "runs", workers, scheduler, overrides)
     if synthetic:
-        from lacli.calibration.synthetic_truth import default_truth, verify
+        from lacli.calibration.synthetic_truth import default_truth, logged, truth_identity, verify
 
         x = _truth(truth, box, default_truth(box))
+        of_runs = runs_identity(run, box.names, logged(OUTPUTS))
+        identity = truth_identity(run, box, OUTPUTS, x, settings)
+        folder = settle(folder, lambda p: obstacle(p, identity) or runs_obstacle(p / "runs.csv", of_runs), fresh)
         with _dashboard() as monitor:
             recoveries = verify(run, box, OUTPUTS, x, settings, folder, monitor)
         _show_recovery(recoveries, box, folder, figures, as_json, time.monotonic() - begin)
@@ -105,16 +117,21 @@ def command(
 
     assert targets_file is not None
     targets = read_targets(targets_file)
-    log = RunLog(folder / "runs.csv", box.names, targets.names)
+    of_runs = runs_identity(run, box.names, targets.names)
+    identity = calibration_identity(box, targets, settings, of_runs)
+    folder = settle(folder, lambda p: obstacle(p, identity) or runs_obstacle(p / "runs.csv", of_runs), fresh)
+    log = RunLog(folder / "runs.csv", box.names, targets.names, of_runs, retry)
     with _dashboard() as monitor:
         result = calibrate(run, box, targets, settings, folder, log, monitor=monitor)
     _finish(result, folder, figures, as_json, time.monotonic() - begin, targets)
 
 
 def _from_table(
-    path: Path, targets_file: Path, box_file: Path | None, settings: Any, folder: Path, monitor: Monitor
-) -> Calibration:
-    from lacli.calibration.calibration import calibrate
+    path: Path, targets_file: Path, box_file: Path | None, settings: Any, folder: Path, fresh: bool, monitor: Monitor
+) -> tuple[Path, Calibration]:
+    """The calibration of a table, and the folder it is in."""
+    from lacli.calibration.calibration import calibrate, calibration_identity, given_runs, obstacle
+    from lacli.contracts.identity import settle
     from lacli.contracts.table import ERROR_SUFFIX, IGNORED, read_frame
     from lacli.contracts.targets import read_targets
     from lacli.inference.box import RANGES, read_box, table_box
@@ -137,12 +154,15 @@ def _from_table(
     missing = [n for n in (*box.names, *targets.names) if n not in frame.columns]
     if missing:
         raise UsageError(f"{path}: no column {', '.join(missing)}; the columns are {', '.join(frame.columns)}.")
-    log = RunLog(path, box.names, targets.names)
+    log = RunLog(path, box.names, targets.names, None)
     given = frame[list(box.names)].to_numpy(float)
     import numpy as np
 
     _, first = np.unique(given, axis=0, return_index=True)
-    return calibrate(None, box, targets, settings, folder, log, given=given[np.sort(first)], monitor=monitor)
+    given = given[np.sort(first)]
+    identity = calibration_identity(box, targets, settings, given_runs(log, given, targets))
+    folder = settle(folder, lambda place: obstacle(place, identity), fresh)
+    return folder, calibrate(None, box, targets, settings, folder, log, given=given, monitor=monitor)
 
 
 def _number(column: Any) -> Any:
@@ -223,6 +243,7 @@ def _finish(result: Calibration, folder: Path, figures: bool, as_json: bool, wal
 
     for note in dict.fromkeys(note for wave in result.waves for note in wave.notes):
         err.print(f"note: {note}", highlight=False, soft_wrap=True)
+    superseded(folder, *FIGURES)
     pictures = _draw(result, folder, None) if figures else []
     if as_json:
         print_json({**document(result), "wall_s": wall_s, "pictures": [str(p) for p in pictures]})
@@ -269,6 +290,7 @@ def _show_recovery(recoveries: list[Any], box: Box, folder: Path, figures: bool,
     from lacli.calibration.calibration import document
 
     pictures: list[Path] = []
+    superseded(folder, "recovery.png", *(f"{r.level}/{name}" for r in recoveries for name in FIGURES))
     if figures:
         from lacli.report.inference_figures_posterior import recovery_figure
 

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from lacli.base.errors import UsageError
 from lacli.cli.console import err, out, print_json, print_table, progress
-from lacli.cli.tables import BoxFile, Json, Seed
+from lacli.cli.tables import BoxFile, Fresh, Json, Retry, Seed
+
+if TYPE_CHECKING:
+    import numpy as np
+    import pandas as pd
+    from numpy.typing import NDArray
+
+    from lacli.base.arrays import FloatArray
+    from lacli.contracts.identity import Identity
+    from lacli.inference.box import Box
+
+IDENTITY = "lacli_identity"  # in the metadata of a Parquet table
 
 
 def command(
@@ -29,16 +41,16 @@ def command(
     scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler.")] = None,
     root: Annotated[Path, typer.Option("--store", help="Folder of the simulations.")] = Path("runs"),
     table: Annotated[Path, typer.Option("--out", help="The table written (.csv or .parquet).")] = Path("design.csv"),
+    fresh: Fresh = False,
+    retry: Retry = False,
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Choose the parameter sets of the next runs; with --run, run them (finished ones are never repeated).
+    """Choose the parameter sets of the next runs; with --run, run them (finished ones are never repeated, nor lost).
 
     Example: lacli design scene.toml -n 200 --run --out runs.csv
     """
-    import pandas as pd
-
-    from lacli.base.files import check_file, replacing
+    from lacli.base.files import check_file
     from lacli.inference.box import CALIBRATION_INPUTS, OUTPUTS, SENSITIVITY_INPUTS, published_box, read_box
     from lacli.inference.design import METHODS, design
 
@@ -48,35 +60,45 @@ def command(
         raise UsageError("--run needs a scene: lacli design SCENE --run.")
     check_file(table)
     box = read_box(box_file) if box_file else published_box(names or (SENSITIVITY_INPUTS if all_inputs else CALIBRATION_INPUTS))
+    if scene is not None and run:
+        from lacli.calibration.simulator import simulator
+        from lacli.cli.scenes import read_scene
+        from lacli.inference.runs import runs_identity
+
+        read_scene(scene, box=box)
+        program = simulator(scene, root, workers, scheduler)
+        identity = runs_identity(program, box.names, (*OUTPUTS, "edv_ml"))
+        table = _place_of_runs(table, identity, fresh)
+    else:
+        program, identity = None, None
+        table = _place_of_points(table, box, fresh)
     accept, note = _feasibility(runs, box)
     x = design(box, count, method, seed, accept)
     if note:
         err.print(f"note: {note}", highlight=False, soft_wrap=True)
-    failed = 0
-    if scene is not None and run:
-        from lacli.calibration.simulator import simulator
+    failed, rows_kept = 0, len(x)
+    if program is not None and identity is not None:
         from lacli.inference.runs import RunLog
 
-        log = RunLog(table.with_suffix(".csv"), box.names, (*OUTPUTS, "edv_ml"))
+        log = RunLog(_log_of(table), box.names, (*OUTPUTS, "edv_ml"), identity, retry)
         with progress() as bar:
             task = bar.add_task("simulations", total=len(x))
-            log.run(
-                simulator(scene, root, workers, scheduler), x, lambda done, total: bar.update(task, completed=done, total=total)
-            )
-        frame = log.frame(x)
-        failed = int((frame["status"] != "done").sum())
+            log.run(program, x, lambda done, total: bar.update(task, completed=done, total=total))
+        failed = int((log.frame(x)["status"] != "done").sum())
+        frame = log.arrange(x)
+        rows_kept = len(frame)
+        if table != log.path:
+            _write(frame, table, identity)
     else:
-        frame = pd.DataFrame(x, columns=list(box.names))
-    with replacing(table) as temporary:
-        if table.suffix.lower() in (".parquet", ".pq"):
-            frame.to_parquet(temporary, index=False)
-        else:
-            frame.to_csv(temporary, index=False)
+        import pandas as pd
+
+        _write(pd.DataFrame(x, columns=list(box.names)), table, None)
     if as_json:
         print_json(
             {
                 "table": str(table),
                 "points": len(x),
+                "rows": rows_kept,
                 "method": method,
                 "seed": seed,
                 "failed": failed,
@@ -92,21 +114,94 @@ def command(
     print_table(f"{len(x)} points ({method})", ["input", "from", "to", "least", "greatest"], rows)
     if run:
         out.print(f"{len(x) - failed} runs finished, {failed} failed (their rows say why).", highlight=False)
+        if rows_kept > len(x):
+            out.print(f"The table also keeps {rows_kept - len(x)} rows of earlier calls, after these.", highlight=False)
     out.print(f"Written to {table}", highlight=False, soft_wrap=True)
 
 
-def _feasibility(runs: Path | None, box):  # type: ignore[no-untyped-def]
+def _place_of_runs(table: Path, identity: Identity, fresh: bool) -> Path:
+    """Where the runs go: ``table``, or with ``fresh`` a place of their own where it holds others. Raises UsageError."""
+    from lacli.contracts.identity import conflict, settle
+    from lacli.inference.runs import obstacle
+
+    def in_the_way(place: Path) -> str:
+        words = obstacle(_log_of(place), identity)
+        if not words and _log_of(place) != place and place.is_file():
+            words = conflict(_written_from(place), identity, "runs")
+        return words
+
+    return settle(table, in_the_way, fresh, table=True)
+
+
+def _log_of(table: Path) -> Path:
+    """Where rows are noted as they finish: the table itself, or a CSV file beside a Parquet one."""
+    return table.with_suffix(".csv") if table.suffix.lower() in (".parquet", ".pq") else table
+
+
+def _place_of_points(table: Path, box: Box, fresh: bool) -> Path:
+    """Where points alone go: never onto a table that holds more than points. Raises UsageError."""
+    from lacli.base.errors import TableError
+    from lacli.contracts.identity import settle
+    from lacli.contracts.table import read_frame
+    from lacli.inference.box import RANGES
+
+    def in_the_way(place: Path) -> str:
+        if not place.is_file():
+            return ""
+        try:
+            frame = read_frame(place)
+        except TableError as error:
+            return f"holds something else ({error})"
+        more = [name for name in frame.columns if name not in (*box.names, *RANGES)]
+        if not more:
+            return ""
+        return f"holds {len(frame)} rows with {', '.join(more[:3])}, which points alone would replace"
+
+    return settle(table, in_the_way, fresh, table=True)
+
+
+def _write(frame: pd.DataFrame, table: Path, identity: Identity | None) -> None:
+    """The table as CSV or Parquet; what the runs were made from in the Parquet file's metadata."""
+    from lacli.base.files import replacing
+
+    with replacing(table) as temporary:
+        if table.suffix.lower() in (".parquet", ".pq"):
+            if identity is not None:
+                frame.attrs = {IDENTITY: identity.document()}
+            frame.to_parquet(temporary, index=False)
+        else:
+            frame.to_csv(temporary, index=False)
+
+
+def _written_from(table: Path) -> Identity | None:
+    """The identity in a Parquet table's metadata; None where there is none."""
+    import json
+
+    from lacli.base.errors import TableError
+    from lacli.contracts.identity import parse_identity
+    from lacli.contracts.table import read_frame
+
+    try:
+        return parse_identity(json.dumps(read_frame(table).attrs.get(IDENTITY)))
+    except TableError:
+        return None
+
+
+def _feasibility(runs: Path | None, box: Box) -> tuple[Callable[[FloatArray], NDArray[np.bool_]] | None, str]:
     """What earlier failures teach: (accept or None, sentence or empty)."""
     if runs is None:
         return None, ""
-    from lacli.contracts.table import OK_STATUS, STATUS, input_values, read_frame
+    from lacli.contracts.table import STATUS, ended_by_machine, finished, input_values, read_frame
     from lacli.inference.emulation.feasibility import FEWEST_FAILURES, learn
 
     frame = read_frame(runs)
     missing = [name for name in (*box.names, STATUS) if name not in frame.columns]
     if missing:
         raise UsageError(f"{runs}: no column {', '.join(missing)}; it must hold the inputs and a status of each run.")
-    ok = frame[STATUS].astype(str).str.lower().isin(OK_STATUS).to_numpy()
+    if (lost := ended_by_machine(frame)).all():
+        return None, f"the machine ended every run in {runs}: that tells nothing of where one fails."
+    frame = frame[~lost]  # what the machine ended tells nothing of the simulator
+    ok = finished(frame)
     x = input_values(frame[list(box.names)], str(runs))
     model = learn(box, x[ok], x[~ok])
     if model is None:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from lacli.cli.console import out, print_json, print_table, progress
-from lacli.cli.tables import Inputs, Json, Names, Outputs, Seed, read
+from lacli.cli.tables import Inputs, Json, Names, Outputs, Seed, read, superseded
 
 
 def command(
@@ -29,7 +29,7 @@ def command(
     from lacli.base.files import check_file
     from lacli.base.threads import one_thread
     from lacli.inference.emulation.emulator import fit_emulators
-    from lacli.inference.emulation.emulator_set import EmulatorSet, save_emulators
+    from lacli.inference.emulation.emulator_set import EmulatorSet, emulators_identity, save_emulators
     from lacli.inference.emulation.validation import cross_validate
 
     check_file(file)
@@ -41,7 +41,8 @@ def command(
         emulators = EmulatorSet(
             table.inputs, tuple(fit_emulators(table, starts=starts, seed=seed, tick=lambda: bar.advance(task)))
         )
-    save_emulators(file, emulators)
+    save_emulators(file, emulators, emulators_identity(table, starts=starts, seed=seed))
+    superseded(file.parent, file.with_suffix(".png").name)
     pictures = []
     if figures:
         from lacli.report.inference_figures import validation_figure

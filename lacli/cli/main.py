@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import functools
-import importlib
-import importlib.util
 import os
 import sys
-from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-import typer
+from lacli.base import signals
 
-from lacli import __version__
-from lacli.base.errors import LacliError
-from lacli.cli.console import fail
+if TYPE_CHECKING:
+    import typer
 
 # command -> one line of help; the function ``command`` in lacli/cli/<name>.py does the work
 COMMANDS: dict[str, str] = {
@@ -34,71 +31,105 @@ COMMANDS: dict[str, str] = {
 
 
 def _exists(name: str) -> bool:
+    import importlib.util
+
     return importlib.util.find_spec(f"lacli.cli.{name}") is not None
 
 
 def build(called: set[str]) -> typer.Typer:
     """The application; only the commands in ``called`` are imported, the others are known by name and help."""
-    app = typer.Typer(no_args_is_help=True, add_completion=True, rich_markup_mode="rich", callback=_root)
+    import importlib
+
+    import typer
+
+    from lacli import __version__
+
+    def tell_version(value: bool) -> None:
+        if value:
+            typer.echo(f"lacli {__version__}")
+            raise typer.Exit()
+
+    version_option = typer.Option(False, "--version", callback=tell_version, is_eager=True, help="Print the version.")
+
+    def root(version: bool = version_option) -> None:
+        """Find how stiff each region of a patient's left atrium is."""
+
+    app = typer.Typer(no_args_is_help=True, add_completion=True, rich_markup_mode="rich", callback=root)
     for name, text in COMMANDS.items():
         if not _exists(name):
             continue
         if name in called:
-            app.command(name=name, short_help=text)(_interruptible(importlib.import_module(f"lacli.cli.{name}").command))
+            app.command(name=name, short_help=text)(importlib.import_module(f"lacli.cli.{name}").command)
         else:
             app.command(name=name, short_help=text, help=text)(_unloaded)
     return app
-
-
-class _Interrupted(LacliError):
-    exit_code = 130
-
-
-def _interruptible(command: Callable[..., None]) -> Callable[..., None]:
-    """Ctrl-C as an error of ours: what Typer makes of it changes with its version."""
-
-    @functools.wraps(command)
-    def call(*arguments: object, **options: object) -> None:
-        try:
-            command(*arguments, **options)
-        except KeyboardInterrupt as error:
-            raise _Interrupted("interrupted. What was finished is kept; run the same command again to go on.") from error
-
-    return call
 
 
 def _unloaded() -> None:
     raise AssertionError("a command was called that was not imported")
 
 
-def _version(value: bool) -> None:
-    if value:
-        typer.echo(f"lacli {__version__}")
-        raise typer.Exit()
-
-
-def _root(
-    version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version."),
-) -> None:
-    """Find how stiff each region of a patient's left atrium is."""
-
-
 def run() -> None:
-    """Entry point: expected errors become one message and exit code 1 or 2; tracebacks are for bugs."""
+    """Entry point: expected errors become one message and exit code 1 or 2; tracebacks are for bugs.
+
+    Ctrl-C, SIGTERM and SIGHUP are caught before anything else is imported; they end in one message and exit code 128 + n.
+    """
+    signals.catch()
+    try:
+        code = _code_of_the_command()
+    finally:
+        signals.settle()
+    sys.exit(code)
+
+
+def _code_of_the_command() -> int:
+    from lacli.base.errors import LacliError
+    from lacli.cli.console import fail
+
     # completion asks for options of any command, so it sees them all
     completing = any(key.startswith("_") and key.endswith("_COMPLETE") for key in os.environ)
     called = set(COMMANDS) if completing else set(sys.argv[1:]) & set(COMMANDS)
     try:
-        build(called)()
+        try:
+            build(called)()
+        except SystemExit as ended:
+            sys.stdout.flush()  # here, where a full disk can still be told
+            return ended.code if isinstance(ended.code, int) else int(bool(ended.code))
     except LacliError as error:
         fail(error)
-        sys.exit(error.exit_code)
+        return error.exit_code
     except OSError as error:
-        if error.errno == 28:
-            sys.stderr.write(f"lacli: the disk is full ({error.filename or 'unknown file'}). Free some space and run again.\n")
-            sys.exit(1)
-        if error.filename is None or error.strerror is None:
+        from lacli.base.machine import FULL, full_words
+
+        if error.errno in FULL:
+            fail(LacliError(full_words(error.filename or _full_place(), error.errno)))
+        elif error.filename is None or error.strerror is None:
             raise
-        # a path the system refuses is no bug: no permission, links in a circle, a name too long, a disk that fails
-        fail(LacliError(f"{error.filename}: {error.strerror}. Check that this path exists and may be read and written."))
-        sys.exit(1)
+        else:
+            # a path the system refuses is no bug: no permission, links in a circle, a name too long, a disk that fails
+            text = f"{error.filename}: {error.strerror}. Check that this path exists and may be read and written."
+            fail(LacliError(text))
+        return 1
+    return 0
+
+
+def _full_place() -> str:
+    """Where the disk is full, of the places that this call writes to; the system does not always say it."""
+    import tempfile
+
+    from lacli.base.machine import full_place
+    from lacli.base.native import cache_folder
+
+    said = Path("/proc/self/fd/1").resolve()  # standard output may be a file
+    words = [word.partition("=")[2] if word.startswith("--") else word for word in sys.argv[1:]]
+    named = [Path(word) for word in words if word and not word.startswith("-")]
+    places = [*([said] if said.is_file() else []), *(path for path in named if path.parent.is_dir()), Path.cwd()]
+    try:
+        places += [Path(tempfile.gettempdir()), cache_folder()]
+    except OSError:
+        return "the folder of temporary files (TMPDIR)"
+    return str(full_place(places) or f"one of {', '.join(map(str, places))}")
+
+
+if __name__ == "__main__":
+    run()

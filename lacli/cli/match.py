@@ -9,7 +9,7 @@ import typer
 
 from lacli.base.errors import LacliError, UsageError
 from lacli.cli.console import err, out, print_json, print_table
-from lacli.cli.tables import BoxFile, Emulators, Inputs, Json, Names, Outputs, Seed, box_of, fitted, selected
+from lacli.cli.tables import BoxFile, Emulators, Inputs, Json, Names, Outputs, Seed, box_of, fitted, selected, superseded
 
 
 def command(
@@ -38,6 +38,7 @@ def command(
     import pandas as pd
 
     from lacli.base.files import check_folder, replacing
+    from lacli.contracts.identity import identify, write_identity
     from lacli.contracts.targets import read_targets
     from lacli.inference.emulation.emulator_set import load_emulators
     from lacli.inference.matching import Region, Wave, match, next_runs, ruled_out_by
@@ -66,12 +67,16 @@ def command(
             + ". Check the targets' units and standard deviations, or widen the box."
         ) from error  # fmt: skip
     folder.mkdir(parents=True, exist_ok=True)
+    superseded(folder, "nroy.csv", "next.csv", "region.png", "outputs.png")
+    existing = table.x if table is not None else emulators.training_inputs()
+    write_identity(
+        folder / "identity.json", identify("result", region=region, count=count, seed=seed, runs=existing, following=following)
+    )
     points = pd.DataFrame(found.sample.points, columns=list(box.names))
     points["implausibility"] = wave.implausibility(found.sample.points).max(1)
     with replacing(folder / "nroy.csv") as temporary:
         points.to_csv(temporary, index=False)
     if following:
-        existing = table.x if table is not None else emulators.training_inputs()
         with replacing(folder / "next.csv") as temporary:
             pd.DataFrame(next_runs(found.sample, following, existing), columns=list(box.names)).to_csv(temporary, index=False)
     pictures = []

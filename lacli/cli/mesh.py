@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import os
 import shutil
 import subprocess
@@ -188,7 +189,7 @@ def _build(
 
     given = None if file is None else landmarks.read(file)
     if image.is_image(source):
-        labels = image.read(source)
+        labels = image.read_labels(source)
         volumes = image.label_volumes(labels)
         return build.from_labels(labels, la_label(source, volumes, la), lv, options, given, say, wall)
     if not anything.is_mesh(source):
@@ -225,6 +226,7 @@ def _save(source: Path, folder: Path, built: Any, options: Any, also: list[Path]
     from lacli.anatomy import quality
     from lacli.anatomy.inputs import meshfile
     from lacli.anatomy.openings import landmarks
+    from lacli.base.locks import lock
     from lacli.contracts import bundle as contract
 
     report, _ = quality.measure(built.bundle)
@@ -250,19 +252,23 @@ def _save(source: Path, folder: Path, built: Any, options: Any, also: list[Path]
     }
     done = replace(built.bundle, info=info)
     contract.check(done, str(folder))
-    part, old = (folder.with_name(f".{word}-{os.getpid()}-{folder.name}") for word in ("part", "old"))
-    shutil.rmtree(part, ignore_errors=True)
-    try:
-        part.mkdir(parents=True)
-        contract.save(done, part)
-        landmarks.write(built.landmarks, part / "landmarks.toml")
-        quality.write(report, part)
-        if folder.exists():
-            folder.replace(old)
-        part.replace(folder)
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
-    shutil.rmtree(old, ignore_errors=True)
+    folder.absolute().parent.mkdir(parents=True, exist_ok=True)
+    with lock(folder.with_name(f".lock-{folder.name}"), "which writes the same bundle"):
+        for left in folder.parent.glob(f".*-*-{glob.escape(folder.name)}"):  # by a process that was killed: the lock is ours
+            if left.name.startswith((".part-", ".old-")):
+                shutil.rmtree(left, ignore_errors=True)
+        part, old = (folder.with_name(f".{word}-{os.getpid()}-{folder.name}") for word in ("part", "old"))
+        try:
+            part.mkdir()
+            contract.save(done, part)
+            landmarks.write(built.landmarks, part / "landmarks.toml")
+            quality.write(report, part)
+            if folder.exists():
+                folder.replace(old)
+            part.replace(folder)
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
+        shutil.rmtree(old, ignore_errors=True)
     for path in also:
         meshfile.write(done, path)
     return report
@@ -270,10 +276,10 @@ def _save(source: Path, folder: Path, built: Any, options: Any, also: list[Path]
 
 def _draw(folder: Path) -> list[str]:
     """Pictures in a process of their own: a broken graphics driver must not end the command."""
+    from lacli.base.process import answer_of
+
     try:
-        done = subprocess.run(
-            [sys.executable, "-m", "lacli.anatomy.quality", str(folder)], capture_output=True, text=True, timeout=300, check=False
-        )
+        done = answer_of([sys.executable, "-m", "lacli.anatomy.quality", str(folder)], timeout_s=300)
     except subprocess.TimeoutExpired:
         err.print("The pictures took longer than five minutes and were left out.")
         return []

@@ -9,7 +9,7 @@ import typer
 
 from lacli.base.errors import UsageError
 from lacli.cli.console import err, out, print_json, print_table, progress
-from lacli.cli.tables import BoxFile, Emulators, Inputs, Json, Names, Outputs, Seed, box_of, fitted
+from lacli.cli.tables import BoxFile, Emulators, Fresh, Inputs, Json, Names, Outputs, Seed, box_of, fitted, superseded
 
 
 def command(
@@ -26,6 +26,7 @@ def command(
     steps: Annotated[int, typer.Option(min=100, help="Cap of the steps of each walker.")] = 20_000,
     ensembles: Annotated[int, typer.Option(min=2, help="Independent ensembles.")] = 4,
     folder: Annotated[Path, typer.Option("--out", help="Folder of the chain, tables and figures.")] = Path("posterior"),
+    fresh: Fresh = False,
     figures: Annotated[bool, typer.Option(help="Draw corner and trace plots.")] = True,
     seed: Seed = 0,
     as_json: Json = False,
@@ -37,6 +38,7 @@ def command(
     import pandas as pd
 
     from lacli.base.files import check_folder, replacing, write_json
+    from lacli.contracts.identity import conflict, parse_identity, settle
     from lacli.contracts.targets import read_targets
     from lacli.inference import posterior as mcmc
     from lacli.inference.arviz_file import write_inference_data
@@ -53,10 +55,18 @@ def command(
     if prior == "nroy":
         region = region.add(Wave(emulators, targets, threshold))
     density = Density(emulators, targets, region)
+    settings = mcmc.Settings(ensembles=ensembles, ess=ess, rhat=rhat, max_steps=steps, seed=seed)
+    identity = mcmc.chain_identity(density, settings)
+
+    def in_the_way(place: Path) -> str:
+        there = place / "chain.npz"
+        return conflict(parse_identity(mcmc.load_chain(there).key), identity, "a chain") if there.is_file() else ""
+
+    folder = settle(folder, in_the_way, fresh)
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / "chain.npz"
     previous = mcmc.load_chain(file) if file.is_file() else None
-    settings = mcmc.Settings(ensembles=ensembles, ess=ess, rhat=rhat, max_steps=steps, seed=seed)
+    superseded(folder, "summary.csv", "summary.json", "posterior.nc", "corner.png", "trace.png")
     with progress() as bar:
         task = bar.add_task("steps (tuning first)", total=steps)
 

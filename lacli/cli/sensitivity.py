@@ -9,7 +9,7 @@ import typer
 
 from lacli.base.errors import UsageError
 from lacli.cli.console import err, out, print_json, print_table
-from lacli.cli.tables import BoxFile, Emulators, Inputs, Json, Names, Outputs, Seed, box_of, fitted
+from lacli.cli.tables import BoxFile, Emulators, Inputs, Json, Names, Outputs, Seed, box_of, fitted, superseded
 
 
 def command(
@@ -32,6 +32,7 @@ def command(
     import pandas as pd
 
     from lacli.base.files import check_folder, replacing
+    from lacli.contracts.identity import identify, write_identity
     from lacli.inference.sensitivity import emulator_indices
 
     if count < 2 or count & (count - 1):
@@ -55,6 +56,10 @@ def command(
         for i, output in enumerate(emulators.outputs) for j, a in enumerate(emulators.inputs) for k in range(j + 1, box.d)
     ]  # fmt: skip
     folder.mkdir(parents=True, exist_ok=True)
+    superseded(folder, "indices.csv", "second_order.csv", "sensitivity.png", "ranking.png")
+    write_identity(
+        folder / "identity.json", identify("result", emulators=emulators, box=box, count=count, draws=draws, seed=seed)
+    )
     for name, content in (("indices.csv", rows), ("second_order.csv", pairs)):
         if content:
             with replacing(folder / name) as temporary:

@@ -93,7 +93,6 @@ def _one(seed: int, folder: Path, wanted: dict[str, Any], voxel_mm: float | None
 
     from lacli.contracts.bundle import check, check_replaceable, save
     from lacli.contracts.motion import save_motion
-    from lacli.geometry.tetrahedra import volumes
     from lacli.synthetic.atrium import synthesize
 
     made_from = {"seed": seed, **wanted, "voxel_mm": voxel_mm}
@@ -105,7 +104,7 @@ def _one(seed: int, folder: Path, wanted: dict[str, Any], voxel_mm: float | None
         info = {
             **bundle.info,
             KEY: made_from,
-            "wall_volume_ml": float(volumes(bundle.points, bundle.tets).sum() / 1000.0),
+            "wall_volume_ml": bundle.wall_volume_ml(),
             "cells": len(bundle.tets),
             "points": len(bundle.points),
         }

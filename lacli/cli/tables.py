@@ -23,8 +23,18 @@ Emulators = Annotated[
     Path | None, typer.Option("--emulators", help="Emulators written by `lacli emulate`, instead of the tables.")
 ]
 BoxFile = Annotated[Path | None, typer.Option("--box", help="Ranges of the inputs (TOML: [box], name = [lower, upper]).")]
+Fresh = Annotated[
+    bool, typer.Option("--fresh", help="Where --out holds something else, start in a sub-folder of its own (fresh_1, ...).")
+]
+Retry = Annotated[bool, typer.Option("--retry", help="Try again what the machine has ended three times.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of all random numbers.")]
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")]
+
+
+def superseded(folder: Path, *names: str) -> None:
+    """Remove what an earlier call left in the folder and this one does not write: it would show another result."""
+    for name in names:
+        (folder / name).unlink(missing_ok=True)
 
 
 def read(inputs: Path | None, outputs: Path | None, names: list[str] | None) -> RunTable:

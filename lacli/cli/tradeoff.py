@@ -10,7 +10,7 @@ import typer
 from lacli.base.errors import AnatomyError
 from lacli.cli.console import out, print_json, print_table
 from lacli.cli.live import LiveLine
-from lacli.contracts.scene import load_scene
+from lacli.cli.scenes import read_scene
 from lacli.mechanics.tradeoff import errors, keep, recommend, reference, run_variants
 
 
@@ -27,7 +27,7 @@ def command(
 
     Example: lacli tradeoff scene.toml --finer bundle_3mm --tolerance-mm 0.2
     """
-    scene = load_scene(scene_file, overrides or [])
+    scene = read_scene(scene_file, overrides)
     if finer is not None and not (finer / "wall.vtu").is_file():
         raise AnatomyError(f"{finer}: not an anatomy bundle. Mesh the same atrium with a smaller --cell-size-mm.")
     with LiveLine() as line:

@@ -13,7 +13,8 @@ import numpy as np
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import AnatomyError
 from lacli.contracts.labels import ENDO, EPI, OTHER, PLANES, REGIONS, RINGS
-from lacli.geometry.tetrahedra import TET10_EDGES
+from lacli.geometry.quadrature import enclosed_volume_ml
+from lacli.geometry.tetrahedra import TET10_EDGES, boundary_faces
 
 # what we put into a bundle's folder: all of it is made again with the bundle, or of no use to a new one
 _OURS = frozenset(
@@ -53,14 +54,19 @@ class Bundle:
 
     def cavity_triangles(self) -> IntArray:
         """Triangles of the closed cavity surface (endocardium and valve planes)."""
-        keep = (self.tags == ENDO) | ((self.tags >= 21) & (self.tags <= 26))
+        keep = (self.tags == ENDO) | np.isin(self.tags, list(PLANES.values()))
         return self.triangles[keep]
 
     def cavity_volume_ml(self) -> float:
-        """Volume enclosed by the endocardium and the valve planes, from corner nodes only, in mL."""
-        a, b, c = (self.points[self.cavity_triangles()[:, i]] for i in range(3))
+        """Volume enclosed by the endocardium and the valve planes, curved faces included, mL."""
         # normals point out of the wall's material, so into the cavity: the sign turns
-        return float(-np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0 / 1000.0)
+        return -enclosed_volume_ml(self.cavity_triangles(), self.points)
+
+    def wall_volume_ml(self) -> float:
+        """Volume of the wall and its rings, without the valve planes, curved faces included, mL."""
+        wall = self.tets[~np.isin(self.region, list(PLANES.values()))]
+        corners, _ = boundary_faces(wall)
+        return enclosed_volume_ml(corners if self.order == 1 else _with_middles(corners, wall), self.points)
 
 
 def check_replaceable(folder: Path) -> None:

@@ -5,36 +5,64 @@ from __future__ import annotations
 import copy
 import itertools
 import math
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 
+from lacli.base.documents import brief, parse_toml, read_toml
 from lacli.base.errors import SceneError
 from lacli.contracts.labels import BODY_REGIONS
+from lacli.contracts.parameters import BY_KEY, QUANTITIES, judge, meant
 
 MMHG_KPA = 0.133322
 KPA_PER_UM_KPA_PER_MM = 1000.0
+MOST_COMPLAINTS = 8  # of one scene, in one message
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Number = Annotated[float, Field(allow_inf_nan=False)]
+
+
+def _default(key: str) -> Any:
+    """What the table of parameters says."""
+    quantity = BY_KEY[key]
+    return int(quantity.default) if quantity.whole else float(quantity.default)
 
 
 class _Frozen(BaseModel):
+    """A table of the scene; ``place`` is its key there. Its numbers keep to the possible ranges of contracts/parameters."""
+
     model_config = ConfigDict(frozen=True, extra="forbid")
+    place: ClassVar[str] = ""
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _number(cls, value: Any, info: ValidationInfo) -> Any:
+        if f"{cls.place}.{info.field_name}" in BY_KEY and isinstance(value, (bool, str)):
+            raise PydanticCustomError("number", "input should be a valid number")
+        return value
+
+    @field_validator("*", mode="after")
+    @classmethod
+    def _possible(cls, value: Any, info: ValidationInfo) -> Any:
+        quantity = BY_KEY.get(f"{cls.place}.{info.field_name}")
+        if quantity is not None and isinstance(value, (int, float)):
+            verdict, words = judge(quantity, value)
+            if verdict == "impossible":
+                raise PydanticCustomError("impossible", "{words}", {"words": words})
+        return value
 
 
 class PerRegion(_Frozen):
     """One positive number for each region of the atrial body."""
 
-    anterior: Positive
-    posterior: Positive
-    septum: Positive
-    lateral: Positive
-    roof: Positive
+    anterior: Number
+    posterior: Number
+    septum: Number
+    lateral: Number
+    roof: Number
 
     def values(self) -> tuple[float, ...]:
         """In the order of BODY_REGIONS."""
@@ -44,6 +72,18 @@ class PerRegion(_Frozen):
     def uniform(self) -> bool:
         """Whether all five are equal."""
         return len(set(self.values())) == 1
+
+
+class Stiffness(PerRegion):
+    """C per region, kPa."""
+
+    place = "materials.c_kpa"
+
+
+class Exponent(PerRegion):
+    """alpha per region."""
+
+    place = "materials.alpha"
 
 
 def _spread(value: Any) -> Any:
@@ -60,15 +100,16 @@ class Anatomy(_Frozen):
 class Materials(_Frozen):
     """Guccione's law of the wall (C, alpha per region) and neo-Hookean rings and planes."""
 
+    place = "materials"
     law: Literal["guccione", "neo_hookean"] = "guccione"
-    c_kpa: PerRegion = PerRegion(**dict.fromkeys(BODY_REGIONS, 1.7))
-    alpha: PerRegion = PerRegion(**dict.fromkeys(BODY_REGIONS, 1.0))
-    bf: Positive = 8.0
-    bft: Positive = 4.0
-    bt: Positive = 3.0
-    kappa_kpa: Positive = 1000.0
-    ring_c_kpa: Positive = 7.45
-    plane_c_kpa: Positive = 1000.0
+    c_kpa: Stiffness = Stiffness(**{name: _default(f"materials.c_kpa.{name}") for name in BODY_REGIONS})
+    alpha: Exponent = Exponent(**{name: _default(f"materials.alpha.{name}") for name in BODY_REGIONS})
+    bf: Number = _default("materials.bf")
+    bft: Number = _default("materials.bft")
+    bt: Number = _default("materials.bt")
+    kappa_kpa: Number = _default("materials.kappa_kpa")
+    ring_c_kpa: Number = _default("materials.ring_c_kpa")
+    plane_c_kpa: Number = _default("materials.plane_c_kpa")
 
     _spread_regions = field_validator("c_kpa", "alpha", mode="before")(_spread)
 
@@ -76,9 +117,10 @@ class Materials(_Frozen):
 class Loads(_Frozen):
     """Cavity pressures at end-diastole and end-systole, and the right veins' springs."""
 
-    edp_mmhg: NonNegative = 8.0
-    esp_mmhg: NonNegative = 20.0
-    vein_spring_kpa_per_um: NonNegative = 0.001
+    place = "loads"
+    edp_mmhg: Number = _default("loads.edp_mmhg")
+    esp_mmhg: Number = _default("loads.esp_mmhg")
+    vein_spring_kpa_per_um: Number = _default("loads.vein_spring_kpa_per_um")
     transient_mmhg: tuple[tuple[float, float], ...] | None = None
 
     @field_validator("transient_mmhg")
@@ -90,6 +132,9 @@ class Loads(_Frozen):
                 raise ValueError("needs at least two [time, pressure] pairs with increasing times in [0, 1]")
             if not all(0 <= t <= 1 and math.isfinite(p) and p >= 0 for t, p in value):
                 raise ValueError("times must lie in [0, 1] (one cycle), pressures be finite and not negative")
+            verdict, words = judge(BY_KEY["loads.esp_mmhg"], max(p for _, p in value))
+            if verdict == "impossible":
+                raise ValueError(words)
         return value
 
     @property
@@ -108,9 +153,10 @@ class Loads(_Frozen):
 class Pericardium(_Frozen):
     """Springs along the epicardium's unloaded normal, scaled by smoothstep((xi - (pth - ramp)) / ramp)."""
 
-    k_peri_kpa_per_um: NonNegative = 0.001
-    pth: Annotated[float, Field(ge=0, le=1)] = 0.75
-    ramp: Positive = 0.2
+    place = "pericardium"
+    k_peri_kpa_per_um: Number = _default("pericardium.k_peri_kpa_per_um")
+    pth: Number = _default("pericardium.pth")
+    ramp: Number = _default("pericardium.ramp")
     outward_only: bool = False
 
     @property
@@ -121,10 +167,11 @@ class Pericardium(_Frozen):
 class MotionSettings(_Frozen):
     """Where the mitral annulus goes: the bundle's own frames, a rigid shift along its axis, or nowhere."""
 
+    place = "motion"
     annulus: Literal["bundle", "axial", "none"] = "bundle"
-    amplitude_mm: NonNegative = 8.0
-    es_time: Annotated[float, Field(gt=0, lt=1)] = 0.4
-    frames: Annotated[int, Field(ge=4, le=200)] = 10
+    amplitude_mm: Number = _default("motion.amplitude_mm")
+    es_time: Number = _default("motion.es_time")
+    frames: int = _default("motion.frames")
 
 
 class Numerics(_Frozen):
@@ -138,27 +185,31 @@ class Numerics(_Frozen):
     load it has, where shorter loads only come to the same fold again.
     """
 
+    place = "numerics"
     order: Literal[1, 2] = 2
     quadrature: Literal[4, 14] = 4
-    kappa_points_kpa: NonNegative = 100.0
+    kappa_points_kpa: Number = _default("numerics.kappa_points_kpa")
     unloading: Literal["prestrain", "backward"] = "prestrain"
     settle_ed: bool = False
     engine: Literal["auto", "plugin", "script"] = "auto"
-    unloading_volume_tolerance: Annotated[float, Field(gt=0, lt=0.2)] = 0.01
-    unloading_max_sweeps: Annotated[int, Field(ge=1, le=100)] = 15
-    tolerance_mm: Annotated[float, Field(gt=0, lt=0.1)] = 1e-4
-    max_newton: Annotated[int, Field(ge=5, le=5000)] = 600
-    timeout_s: Positive = 3600.0
+    unloading_volume_tolerance: Number = _default("numerics.unloading_volume_tolerance")
+    unloading_max_sweeps: int = _default("numerics.unloading_max_sweeps")
+    tolerance_mm: Number = _default("numerics.tolerance_mm")
+    max_newton: int = _default("numerics.max_newton")
+    timeout_s: Number = _default("numerics.timeout_s")
 
 
 class Outputs(_Frozen):
-    """What is written beside the features at end-systole. ``unloaded``: also the wall without pressure, and its volume."""
+    """What is written beside the features at end-systole. ``unloaded``: also the wall without pressure, and its volume.
+    ``sensitivities``: also the features' derivatives by the study's inputs, at end-systole and in every frame."""
 
-    frames: Annotated[int, Field(ge=0, le=100)] = 0
+    place = "outputs"
+    frames: int = _default("outputs.frames")
     conduit: bool = False
     fields: Literal["none", "es", "all"] = "es"
     strain: bool = False
     unloaded: bool = True
+    sensitivities: bool = False
 
 
 class Scene(_Frozen):
@@ -192,7 +243,7 @@ class Scene(_Frozen):
         if self.loads.transient_mmhg is None and self.loads.esp_mmhg < self.loads.edp_mmhg:
             raise ValueError(
                 f"loads.esp_mmhg ({self.loads.esp_mmhg:g}) is below loads.edp_mmhg ({self.loads.edp_mmhg:g}); "
-                "the pressure rises through the reservoir phase"
+                f"the pressure rises through the reservoir phase{meant(BY_KEY['loads.esp_mmhg'], self.loads.esp_mmhg)}"
             )
         return self
 
@@ -208,12 +259,7 @@ def load_scene(file: Path, overrides: list[str] | None = None) -> Scene:
 
     Raises SceneError with the key, what is wrong there and what is allowed.
     """
-    if not file.is_file():
-        raise SceneError(f"{file}: no such scene file.")
-    try:
-        document = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SceneError(f"{file}: not valid TOML: {error}.") from error
+    document = read_toml(file, error=SceneError, missing="no such scene file")
     return build_scene(document, overrides or [], folder=file.resolve().parent, where=str(file))
 
 
@@ -236,11 +282,11 @@ def build_scene(document: Mapping[str, Any], overrides: list[str], *, folder: Pa
 def _override(document: dict[str, Any], text: str) -> None:
     key, equals, value = text.partition("=")
     path = [part.strip() for part in key.split(".")]
-    if not equals or not all(path):
-        raise SceneError(f"--set {text}: write it as key.key=value, for example loads.edp_mmhg=8.")
+    if not equals or not all(path) or len(path) > 10:
+        raise SceneError(f"--set {brief(text)}: write it as key.key=value, for example loads.edp_mmhg=8.")
     try:
-        parsed = tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
+        parsed = parse_toml(f"value = {value}", f"--set {brief(text)}", error=SceneError)["value"]
+    except SceneError:  # a bare word, or no value of any kind: the models tell
         parsed = value.strip()
     place = document
     for index, part in enumerate(path[:-1]):
@@ -256,18 +302,22 @@ def _override(document: dict[str, Any], text: str) -> None:
 
 
 def _explain(error: ValidationError, where: str) -> str:
-    lines = []
-    for item in error.errors():
-        key = ".".join(str(part) for part in item["loc"]) or "scene"
+    found: dict[str, list[str]] = {}  # words -> keys; five regions with one value are said once
+    for item in error.errors()[:MOST_COMPLAINTS]:
+        key = brief(".".join(str(part) for part in item["loc"])).strip("'\"") or "scene"
         if item["type"] == "extra_forbidden":
-            known = ", ".join(_known_keys(item["loc"][:-1]))
-            lines.append(f"{key}: unknown key; known here: {known}")
+            words = f"unknown key; known here: {', '.join(_known_keys(item['loc'][:-1]))}"
         elif item["type"] == "missing":
-            lines.append(f"{key}: missing")
+            words = "missing"
         else:
             message = item["msg"].removeprefix("Value error, ")
-            given = "" if item["type"] == "value_error" and not item["loc"] else f" (given: {item.get('input')!r})"
-            lines.append(f"{key}: {message[:1].lower()}{message[1:]}{given}")
+            told = item["type"] == "impossible" or (item["type"] == "value_error" and not item["loc"])
+            given = "" if told else f" (given: {brief(item.get('input'))})"
+            words = f"{message[:1].lower()}{message[1:]}{given}"
+        found.setdefault(words, []).append(key)
+    lines = [f"{_common(keys)}: {words}" for words, keys in found.items()]
+    if error.error_count() > MOST_COMPLAINTS:
+        lines.append(f"and {error.error_count() - MOST_COMPLAINTS} more")
     return f"{where}: " + "; ".join(lines) + "."
 
 
@@ -285,45 +335,36 @@ def dump_scene(scene: Scene) -> str:
     return tomli_w.dumps(scene.model_dump(mode="json", exclude_none=True))
 
 
-# The parameter table: name with unit -> where it lives in a scene, and its range
-_LIMITS: dict[str, tuple[float, float]] = {
-    **{f"c_{name}_kpa": (0.2, 6.8) for name in BODY_REGIONS},
-    **{f"alpha_{name}": (0.125, 4.0) for name in BODY_REGIONS},
-    "edp_mmhg": (1.0, 12.0),
-    "esp_mmhg": (13.0, 37.0),
-    "k_peri_kpa_per_um": (0.0001, 0.005),
-    "pth": (0.5, 0.95),
-}
-
-
-def parameter_box(names: list[str] | None = None) -> dict[str, tuple[float, float]]:
-    """Ranges of the study's inputs, all 14 or those in ``names`` (UsageError on an unknown one)."""
-    if names is None:
-        return dict(_LIMITS)
-    unknown = [name for name in names if name not in _LIMITS]
-    if unknown:
-        raise SceneError(f"unknown parameter {unknown[0]!r}; known: {', '.join(_LIMITS)}.")
-    return {name: _LIMITS[name] for name in names}
-
-
-def _address(name: str) -> list[str]:
-    if name in ("edp_mmhg", "esp_mmhg"):
-        return ["loads", name]
-    if name in ("k_peri_kpa_per_um", "pth"):
-        return ["pericardium", name]
-    if name.startswith("c_") and name.endswith("_kpa"):
-        return ["materials", "c_kpa", name[2:-4]]
-    return ["materials", "alpha", name.removeprefix("alpha_")]
-
-
 def with_parameters(scene: Scene, values: Mapping[str, float]) -> Scene:
-    """The scene with some of the parameter table's inputs set, validated again."""
-    parameter_box(list(values))
+    """The scene with some quantities of contracts/parameters set by their names, validated again."""
     document = scene.model_dump(mode="json", exclude_none=True)
     for name, value in values.items():
-        *path, last = _address(name)
+        if name not in QUANTITIES:
+            raise SceneError(f"unknown parameter {brief(name)}; known: {', '.join(QUANTITIES)}.")
+        *path, last = QUANTITIES[name].key.split(".")
         place = document
         for part in path:
             place = place[part]
-        place[last] = float(value)
+        place[last] = int(value) if QUANTITIES[name].whole else float(value)
     return build_scene(document, [], folder=Path("/"), where="parameters")
+
+
+def notes(scene: Scene) -> list[str]:
+    """What is possible in a scene but not plausible, a sentence each, with the unit that was likely meant."""
+    found: dict[str, list[str]] = {}  # words -> keys; five regions with one value are said once
+    document = scene.model_dump(mode="json")
+    for key, quantity in BY_KEY.items():
+        value: Any = document
+        for part in key.split("."):
+            value = value[part]
+        found.setdefault(judge(quantity, value)[1], []).append(key)
+    if scene.loads.transient_mmhg is not None:
+        highest = max(p for _, p in scene.loads.transient_mmhg)
+        found.setdefault(judge(BY_KEY["loads.esp_mmhg"], highest)[1], []).append("loads.transient_mmhg")
+    found.pop("", None)
+    return [f"{_common(keys)}: {words}." for words, keys in found.items()]
+
+
+def _common(keys: list[str]) -> str:
+    stems = {key.rpartition(".")[0] for key in keys}
+    return stems.pop() if len(keys) == len(BODY_REGIONS) and len(stems) == 1 else ", ".join(keys)

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from lacli.base.arrays import FloatArray
+from lacli.base.arrays import BoolArray, FloatArray
 from lacli.base.errors import TableError, UsageError
+from lacli.contracts.failures import MACHINE
 
 STATUS = "status"
 OK_STATUS = {"ok", "done", "success", "converged", "true", "1"}
@@ -22,6 +23,7 @@ _PARQUET = (".parquet", ".pq")
 _EXACT: dict[str, Any] = {} if tuple(map(int, pd.__version__.split(".")[:2])) >= (3, 1) else {"float_precision": "round_trip"}
 # bookkeeping columns that are neither inputs nor outputs
 IGNORED = {STATUS, "run", "run_id", "id", "key", "failure", "kind", "cpu_s", "wall_s", "wave", "Unnamed: 0"}
+IGNORED |= {"attempts", "message", "peak_memory_mb"}
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,22 @@ def read_frame(path: Path) -> pd.DataFrame:
     return frame
 
 
+def finished(frame: pd.DataFrame) -> BoolArray:
+    """Whether each row (n,) is marked as a run that ended well; all are where there is no status."""
+    if STATUS not in frame.columns:
+        return np.ones(len(frame), bool)
+    return np.asarray(frame[STATUS].astype(str).str.strip().str.lower().isin(OK_STATUS), bool)
+
+
+def ended_by_machine(frame: pd.DataFrame) -> BoolArray:
+    """Whether each row (n,) is a run that the machine ended (killed, out_of_memory, ...): it has no result."""
+    lost = np.zeros(len(frame), bool)
+    for name in (STATUS, "kind", "failure"):
+        if name in frame.columns:
+            lost |= frame[name].astype(str).str.strip().str.lower().isin(list(MACHINE)).to_numpy(bool)
+    return lost & ~finished(frame) if STATUS in frame.columns else lost
+
+
 def _is_number(text: str) -> bool:
     try:
         float(text)
@@ -148,10 +166,13 @@ def combine(
     notes: list[str] = []
     if len(inputs) != len(outputs):
         raise TableError(f"{where}: {len(inputs)} rows of inputs but {len(outputs)} rows of outputs; each run needs one of each.")
-    status_ok = np.ones(len(inputs), bool)
-    for frame in (inputs, outputs):
-        if STATUS in frame.columns:
-            status_ok &= frame[STATUS].astype(str).str.strip().str.lower().isin(OK_STATUS).to_numpy()
+    lost_rows = ended_by_machine(inputs) | ended_by_machine(outputs)
+    if lost_rows.any():
+        notes.append(
+            f"{int(lost_rows.sum())} run(s) that the machine ended ({_list(list(MACHINE))}) are left out: they are no results."
+        )
+        inputs, outputs = inputs[~lost_rows], outputs[~lost_rows]
+    status_ok = finished(inputs) & finished(outputs)
     x_frame = inputs[_named(inputs, input_names, f"{where}: input")]
     x = input_values(x_frame, where)
     y_frame = _numbers(outputs[_named(outputs, output_names, f"{where}: output")], f"{where}: outputs")

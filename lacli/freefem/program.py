@@ -7,6 +7,7 @@ block-buffered, so a script follows each such line by ``cout.flush;``.
 
 from __future__ import annotations
 
+import errno
 import functools
 import logging
 import os
@@ -20,8 +21,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from lacli.base import native as compiled
-from lacli.base.errors import SolverMissingError
-from lacli.base.process import Ended, disk_is_full, supervise
+from lacli.base.errors import MachineError, SolverMissingError
+from lacli.base.machine import disk_is_full, full_words, memory_limit
+from lacli.base.process import Ended, answer_of, supervise
 
 INSTALL = "sudo apt-get install -y freefem++ libfreefem++-dev libmumps-seq-dev libopenblas0-pthread g++"
 _logger = logging.getLogger(__name__)
@@ -29,10 +31,11 @@ _BINARIES = ("FreeFem++", "FreeFem++-nw", "freefem++")
 _ROOTS = ("/usr", "/usr/local", "/opt/freefem", "/opt/FreeFem", "/usr/local/FreeFem", "/opt/ff++")
 _CRASHES = {signal.SIGSEGV, signal.SIGABRT, signal.SIGFPE, signal.SIGBUS, signal.SIGILL}
 _NO_MEMORY = re.compile(r"bad_alloc|cannot allocate memory|out of memory|not enough memory", re.IGNORECASE)
-_NO_SPACE = re.compile(r"no space left on device|disk quota exceeded", re.IGNORECASE)
+_NO_SPACE = re.compile(r"no space left on device|disk quota exceeded|file too large", re.IGNORECASE)
 _TELLING = re.compile(r"(?:exec|compile|load|syntax)\s+error\s*:|assertion|error line number", re.IGNORECASE)
-_MUMPS_ERROR = re.compile(r"Erreur Mumps seq: number (-\d+)")
-_IDLE = re.compile(r"@ progress|\s*current line|(?:init|close)\s+MUMPS_SEQ")
+_MUMPS_ERROR = re.compile(r"(?:Erreur Mumps seq: number |@ mumps error=)(-\d+)")
+_MUMPS_NO_MEMORY = {"-13", "-19", "-20", "-22"}  # an allocation failed, or more than was allowed (MUMPS users' guide, section 8)
+_IDLE = re.compile(r"@ progress|@ mumps|\s*current line|(?:init|close)\s+MUMPS_SEQ")
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,7 @@ class FreeFem:
 @dataclass(frozen=True)
 class Outcome:
     """How a script ended. ``kind`` is None for success, else the kind of failure: what the script named in ``@ stop``,
-    or ``timeout``, ``killed``, ``out_of_memory``, ``disk_full``, ``freefem_error``."""
+    or one of ``lacli.contracts.failures``."""
 
     exit_code: int
     kind: str | None
@@ -121,7 +124,7 @@ def find() -> FreeFem:
     """Find FreeFEM and what it needs, and see that it runs.
 
     Environment: LACLI_FREEFEM names the binary, FF_LOADPATH a folder of plugins, CXX the compiler; none is needed.
-    Raises SolverMissingError with the command that installs it.
+    Raises SolverMissingError with the command that installs it, MachineError where it was killed when it was tried.
     """
     return _find(*(os.environ.get(name, "") for name in ("LACLI_FREEFEM", "FF_LOADPATH", "CXX", "PATH")))
 
@@ -176,7 +179,7 @@ def _plugins(load_path: str, roots: list[Path]) -> Path | None:
 def _packaged_plugins() -> Path | None:
     if shutil.which("dpkg") is None:
         return None
-    listing = subprocess.run(["dpkg", "-L", "libfreefem++"], capture_output=True, text=True, check=False, timeout=30)
+    listing = answer_of(["dpkg", "-L", "libfreefem++"], timeout_s=30)
     files = [Path(line) for line in listing.stdout.splitlines() if line.endswith("/msh3.so") and "/mpi/" not in line]
     return files[0].parent if files and files[0].is_file() else None
 
@@ -196,26 +199,21 @@ def _compiler(override: str, search: str) -> Path | None:
 
 
 def _try_script(freefem: FreeFem, text: str) -> str:
-    """What a short script prints, or why it could not run."""
+    """What a short script prints, or why it could not run. Raises MachineError where FreeFEM was killed."""
     with tempfile.TemporaryDirectory(prefix="lacli-") as folder:
         script = Path(folder) / "try.edp"
         script.write_text(text, encoding="utf-8")
+        command = [str(freefem.binary), "-nw", "-ne", "-v", "0", str(script)]
         try:
-            answer = subprocess.run(
-                [str(freefem.binary), "-nw", "-ne", "-v", "0", str(script)],
-                cwd=folder,
-                env=freefem.environment(),
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-                errors="replace",
-                check=False,
-                timeout=60,
-            )
+            answer = answer_of(command, cwd=Path(folder), env=freefem.environment(), timeout_s=60)
         except (OSError, subprocess.TimeoutExpired) as error:
             return f"{error}"
-    return answer.stdout
+    number = -answer.returncode
+    if number > 0 and number not in _CRASHES:
+        raise MachineError(
+            "killed", f"FreeFEM was killed from outside ({signal.Signals(number).name}) when it was tried. Run again."
+        )
+    return answer.stdout + answer.stderr
 
 
 def can_load(freefem: FreeFem, plugin: str) -> bool:
@@ -275,13 +273,20 @@ def _judge(ended: Ended, said: list[str], timeout_s: float, folder: Path) -> tup
     text = "\n".join(ended.last_lines)
     if ended.cut == "timeout":
         return "timeout", f"FreeFEM was stopped after {timeout_s:g} s (numerics.timeout_s)."
-    full = f"The disk is full at {folder}. Free some space and run again."
+    if ended.exit_code == -signal.SIGXFSZ:
+        return "disk_full", full_words(folder, errno.EFBIG)
     if ended.cut == "disk_full" or _NO_SPACE.search(text) or disk_is_full(folder):
-        return "disk_full", full
-    memory = f"FreeFEM ran out of memory ({ended.peak_memory_mb:.0f} MB used). Run fewer side by side, or a coarser mesh."
-    if ended.cut == "out_of_memory" or _NO_MEMORY.search(text):
+        return "disk_full", full_words(folder, errno.ENOSPC)
+    if ended.cut == "cancelled":
+        return "cancelled", "The run was cancelled before it had ended."
+    memory = (
+        f"FreeFEM ran out of memory: it used {ended.peak_memory_mb:.0f} MB and wanted more; {memory_limit()}. "
+        "Run fewer side by side (--workers 1), or a coarser mesh."
+    )
+    found = None if _said_done(said) else _MUMPS_ERROR.search(text)
+    if ended.cut == "out_of_memory" or _NO_MEMORY.search(text) or (found and found[1] in _MUMPS_NO_MEMORY):
         return "out_of_memory", memory
-    if found := _MUMPS_ERROR.search(text):
+    if found:
         return "linear_solver", f"MUMPS could not solve the linear system (error {found[1]})."
     for line in said:
         if stop := parse_stop(line):
@@ -295,9 +300,13 @@ def _judge(ended: Ended, said: list[str], timeout_s: float, folder: Path) -> tup
         return "killed", f"FreeFEM was killed from outside ({name}). Run again."
     if ended.exit_code > 0:
         return "freefem_error", f"FreeFEM stopped with code {ended.exit_code}. {_telling(ended.last_lines)}"
-    if "@ done" not in [line.strip() for line in said]:
+    if not _said_done(said):
         return "freefem_error", f"FreeFEM ended before the script was done. {_telling(ended.last_lines)}"
     return None, ""
+
+
+def _said_done(said: list[str]) -> bool:
+    return "@ done" in [line.strip() for line in said]
 
 
 def _telling(lines: Sequence[str]) -> str:
@@ -339,7 +348,7 @@ def compile_plugin(freefem: FreeFem, source: Path, cache_folder: Path | None = N
         cache = (cache_folder or compiled.cache_folder()).resolve()
         parts = _plugin_parts(freefem, source, flags)
         return compiled.kept(cache, parts, f"{source.stem}.so", lambda folder: _compile(freefem, source, folder, flags))
-    except (OSError, subprocess.SubprocessError) as error:
+    except (OSError, subprocess.SubprocessError, compiled.CompilerError) as error:
         raise SolverMissingError(f"{source.name} is not compiled: {error}") from error
 
 
@@ -349,10 +358,10 @@ def _compile(freefem: FreeFem, source: Path, folder: Path, flags: Sequence[str])
     macros = ["-DNDEBUG", "-DBAMG_LONG_LONG", "-DNCHECKPTR"]
     command = [str(freefem.compiler), "-shared", "-fPIC", "-O3", "-std=c++14", "-w", *macros, *flags]
     command += [f"-I{freefem.header_path}", str(source.resolve()), "-o", str(built), *_libraries(source)]
-    answer = compiled.compile_with(command, folder)
-    if answer.returncode != 0:
-        errors = [line for line in answer.stderr.splitlines() if "error:" in line or "cannot find" in line][:3]
-        raise SolverMissingError(f"{source.name} does not compile: {' / '.join(errors) or answer.stderr[-400:]}")
+    answer = compiled.compile_with(command, folder, source.name)
+    if answer.code != 0:
+        errors = [line for line in answer.lines if "error:" in line or "cannot find" in line][:3]
+        raise SolverMissingError(f"{source.name} does not compile: {' / '.join(errors or answer.lines[-5:])[-800:]}")
     if reason := load_obstacle(freefem, str(built.with_suffix(""))):
         raise SolverMissingError(f"{source.name} compiles, but FreeFEM does not load it: {reason}")
     return built

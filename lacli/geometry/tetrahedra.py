@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
 from lacli.base.arrays import FloatArray, IntArray
@@ -89,29 +87,6 @@ def scaled_jacobian(points: FloatArray, tets: IntArray) -> FloatArray:
     return np.sqrt(2.0) * det / np.where(largest > 0, largest, 1.0)
 
 
-def enclosed_volume_ml(points: FloatArray, triangles: IntArray) -> float:
-    """Volume (mL) enclosed by a closed surface of 3- or 6-node triangles; negative where normals point inward.
-
-    6-node triangles are integrated as the curved surfaces they are: x . (x,u cross x,v) / 3 has degree 4, so the 6-point
-    rule of that degree is exact.
-    """
-    x = points[triangles] - points[triangles[:, 0]].mean(axis=0)
-    if triangles.shape[1] == 3:
-        return float(np.einsum("ij,ij->", x[:, 0], np.cross(x[:, 1], x[:, 2])) / 6.0 / 1000.0)
-    total = 0.0
-    for weight, inner in ((0.223381589678011, 0.445948490915965), (0.109951743655322, 0.091576213509771)):
-        for k in range(3):
-            lam = np.full(3, inner)
-            lam[k] = 1.0 - 2.0 * inner
-            shape = np.array([*(lam * (2 * lam - 1)), 4 * lam[0] * lam[1], 4 * lam[1] * lam[2], 4 * lam[2] * lam[0]])
-            d_u = np.array([1 - 4 * lam[0], 4 * lam[1] - 1, 0, 4 * (lam[0] - lam[1]), 4 * lam[2], -4 * lam[2]])
-            d_v = np.array([1 - 4 * lam[0], 0, 4 * lam[2] - 1, -4 * lam[1], 4 * lam[1], 4 * (lam[0] - lam[2])])
-            at, u, v = (np.einsum("tid,i->td", x, f) for f in (shape, d_u, d_v))
-            total += 0.5 * weight * float(np.einsum("ij,ij->", at, np.cross(u, v))) / 3.0
-    return total / 1000.0
-
-
-@lru_cache(maxsize=1)
 def _sample_gradients() -> FloatArray:
     """Gradients (p, 10, 3) of the ten quadratic shape functions at the sampling points of the Jacobian.
 

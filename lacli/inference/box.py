@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,11 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from lacli.base.arrays import BoolArray, FloatArray
+from lacli.base.documents import read_toml
 from lacli.base.errors import UsageError
 from lacli.contracts.labels import BODY_REGIONS
-from lacli.contracts.scene import parameter_box
+from lacli.contracts.parameters import QUANTITIES, judge, parameter_box
 
-# published ranges of the left atrium's parameters, the scene's
+# published ranges of the left atrium's parameters, the table's
 RANGES: dict[str, tuple[float, float]] = parameter_box()
 CALIBRATION_INPUTS: tuple[str, ...] = tuple(name for name in RANGES if not name.startswith("c_"))
 SENSITIVITY_INPUTS: tuple[str, ...] = tuple(RANGES)
@@ -65,7 +65,7 @@ class Box:
 def make_box(names: Sequence[str], lower: Sequence[float], upper: Sequence[float]) -> Box:
     """A checked box, with the orderings that apply to its names where the ranges overlap.
 
-    Raises UsageError for an empty or reversed range, or an ordering that no point keeps.
+    Raises UsageError for an empty or reversed range, one beyond what is possible, or an ordering that no point keeps.
     """
     low, high = np.asarray(lower, float), np.asarray(upper, float)
     if len(set(names)) != len(names):
@@ -73,6 +73,10 @@ def make_box(names: Sequence[str], lower: Sequence[float], upper: Sequence[float
     for name, a, b in zip(names, low, high, strict=True):
         if not (math.isfinite(a) and math.isfinite(b) and a < b):
             raise UsageError(f"box: the range of {name} is [{a:g}, {b:g}]; the lower end must be below the upper one.")
+        for end in (a, b) if name in QUANTITIES else ():
+            verdict, words = judge(QUANTITIES[name], float(end))
+            if verdict == "impossible":
+                raise UsageError(f"box: {name}: {words}.")
     ordered = []
     for first, second in _ORDERED:
         if first in names and second in names:
@@ -98,12 +102,8 @@ def read_box(path: Path) -> Box:
     Raises UsageError with the key at fault.
     """
     path = Path(path)
-    if not path.is_file():
-        raise UsageError(f"{path}: no such box file. Write [box] and a line `name = [lower, upper]` for each input.")
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: not valid TOML ({error}).") from error
+    hint = "no such box file. Write [box] and a line `name = [lower, upper]` for each input"
+    document = read_toml(path, error=UsageError, missing=hint)
     table = document.get("box", document)
     if not isinstance(table, dict) or not table:
         raise UsageError(f"{path}: no range in it. Write [box] and a line `name = [lower, upper]` for each input.")
@@ -112,6 +112,12 @@ def read_box(path: Path) -> Box:
         if not numbers or not all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in pair):
             raise UsageError(f"{path}: {name} needs [lower, upper], found {pair!r}.")
     return make_box(list(table), [pair[0] for pair in table.values()], [pair[1] for pair in table.values()])
+
+
+def notes(box: Box) -> list[str]:
+    """What of a box's ranges is possible but not plausible, a sentence each."""
+    ends = [(n, float(v)) for n, *pair in zip(box.names, box.lower, box.upper, strict=True) for v in pair if n in QUANTITIES]
+    return [f"box: {name}: {words}." for name, value in ends if (words := judge(QUANTITIES[name], value)[1])]
 
 
 def table_box(names: Sequence[str], x: FloatArray) -> Box:

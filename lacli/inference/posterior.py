@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-import hashlib
 import warnings
 from collections.abc import Callable
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import emcee
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.stats import qmc
 
 from lacli.base.arrays import FloatArray
-from lacli.base.errors import InputError, LacliError
+from lacli.base.errors import InputError, LacliError, UsageError
 from lacli.base.files import DAMAGED, replacing
 from lacli.base.threads import single_threaded
+from lacli.contracts.identity import Identity, conflict, identify, parse_identity
 from lacli.inference.likelihood import Density
 from lacli.inference.mixture import fit_mixture
 from lacli.inference.moves import EnsemblesMove
 from lacli.inference.surrogate import fit_surrogate
 
 _FORMAT = 2
+STOPPING = frozenset({"rhat", "ess", "max_steps"})  # settings that say when a chain is long enough, not where it goes
 _TUNING = 200  # steps of plain moves before anything is kept
 _ROUND = 50  # steps between saves
 # a stand-in whose log likelihood is off by more than this is accepted too seldom to pay
@@ -47,7 +47,7 @@ class Settings:
 class Chain:
     """samples (steps, ensembles, walkers, d) after tuning; log_prob (steps, ensembles, walkers); acceptance share;
     rhat, ess (d,): over the independent ensembles, and the effective number of samples; converged: both asked for are met;
-    random_state and coefficients of the stand-in: what a continuation needs."""
+    random_state and coefficients of the stand-in: what a continuation needs; key: its identity, as text."""
 
     names: tuple[str, ...]
     samples: FloatArray
@@ -89,17 +89,15 @@ def sample_posterior(
     ``previous`` chain is continued with the same random numbers an uninterrupted run would have used. ``keep`` is
     called at every save point.
     """
-    settings = settings if settings.walkers else replace(settings, walkers=4 * density.d)
+    settings = _with_walkers(settings, density)
     if settings.walkers < 2 * density.d + 2 or settings.walkers % 2:
         raise LacliError(
             f"posterior: {settings.walkers} walkers for {density.d} inputs; an even number above {2 * density.d} is needed."
         )
-    key = chain_key(density, settings)
-    if previous is not None and previous.key != key:
-        raise InputError(
-            "the chain to continue was made with other emulators, targets, region or seed; sample into another file."
-        )
-    chain = previous if previous is not None and previous.steps else _tune(density, settings, start, key)
+    identity = chain_identity(density, settings)
+    if previous is not None and (words := conflict(parse_identity(previous.key), identity, "a chain")):
+        raise UsageError(f"the file to continue {words}. Sample into another one.")
+    chain = previous if previous is not None and previous.steps else _tune(density, settings, start, identity.text())
     move = _move(density, settings, chain.tuning_points)
     chain = replace(chain, uses_surrogate=move.surrogate is not None)
     count = settings.ensembles * settings.walkers
@@ -275,24 +273,14 @@ def summary(chain: Chain, most_probable: FloatArray) -> list[dict[str, float | s
     ]  # fmt: skip
 
 
-def chain_key(density: Density, settings: Settings) -> str:
-    """Digest of everything the random walk depends on; stopping rules are left out, so that a longer run continues."""
-    digest = hashlib.sha256(f"{_FORMAT} {settings.ensembles} {settings.walkers} {settings.seed}".encode())
-    box = density.region.box
-    sets = [density.emulators, *(w.emulators for w in density.region.waves)]
-    targets = [density.targets, *(w.targets for w in density.region.waves)]
-    arrays: list[NDArray] = [box.lower, box.upper, np.array([w.threshold for w in density.region.waves])]
-    arrays += [a for t in targets for a in (t.mean, t.sd)]
-    arrays += [
-        a
-        for s in sets
-        for e in s.emulators
-        for a in (e.process.theta, e.process.y, e.process.u, np.array([e.inflation, e.shift, e.scale, *astuple(e.output_scale)]))
-    ]
-    for array in arrays:
-        digest.update(np.ascontiguousarray(array, float).tobytes())
-    digest.update(repr(box.names).encode())
-    return digest.hexdigest()
+def chain_identity(density: Density, settings: Settings) -> Identity:
+    """Everything the random walk depends on; stopping rules are left out, so that a longer run continues."""
+    walk = {f.name: getattr(_with_walkers(settings, density), f.name) for f in fields(settings) if f.name not in STOPPING}
+    return identify("chain", density=density, format=_FORMAT, **walk)
+
+
+def _with_walkers(settings: Settings, density: Density) -> Settings:
+    return settings if settings.walkers else replace(settings, walkers=4 * density.d)
 
 
 def save_chain(path: Path, chain: Chain) -> None:

@@ -1,4 +1,8 @@
-"""Discretisation errors that travel with a result: measured once for an anatomy and a choice of numerics, then looked up."""
+"""Discretisation errors that travel with a result: measured once for a scene and a choice of numerics, then looked up.
+
+They are kept in the bundle's ``accuracy.json``, each entry with the identity of what was measured: the scene with its
+numerics, the bundle's content, FreeFEM's scripts. Another scene, a bundle made anew, or other numerics find none.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +12,24 @@ from typing import Any
 
 from lacli.base.errors import InputError
 from lacli.base.files import write_json
+from lacli.contracts.identity import Identity, determinants, flatten, identify
 from lacli.contracts.scene import Scene
 
 FILE = "accuracy.json"
+# keys of a scene that change what is written, how long it may take or by which engine, not the numbers
+_SAME_NUMBERS = ("outputs", "numerics.engine", "numerics.timeout_s")
 
 
 def numerics_name(scene: Scene) -> str:
     """The part of the numerics that discretises: element order and quadrature."""
     return f"p{scene.numerics.order}_q{scene.numerics.quadrature}"
+
+
+def measured(scene: Scene) -> Identity:
+    """What the errors of a scene depend on."""
+    parts = flatten(determinants(scene))
+    kept = {key: value for key, value in parts.items() if key not in _SAME_NUMBERS and key.split(".")[0] not in _SAME_NUMBERS}
+    return identify("accuracy", **kept)
 
 
 def known_errors(scene: Scene) -> dict[str, float]:
@@ -24,16 +38,30 @@ def known_errors(scene: Scene) -> dict[str, float]:
     if not file.is_file():
         return {}
     try:
-        document: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-        entry = document.get(numerics_name(scene), {})
-        return {str(name): float(value) for name, value in entry.items()}
-    except (ValueError, TypeError, AttributeError) as error:
+        entry = _entries(file).get(measured(scene).digest, {"errors": {}})
+        return {str(name): float(value) for name, value in entry["errors"].items()}
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise InputError(f"{file}: cannot be read ({error}). Remove it, or run `lacli tradeoff` again.") from error
 
 
-def record(bundle: Path, name: str, errors: dict[str, float]) -> None:
-    """Add the errors of one choice of numerics to the bundle's ``accuracy.json``."""
-    file = bundle / FILE
-    document = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
-    document[name] = errors
-    write_json(file, document)
+def record(scene: Scene, errors: dict[str, float], reference: Scene) -> None:
+    """Add the errors of a scene with its numerics, against the reference, to its bundle's ``accuracy.json``."""
+    file = scene.anatomy.bundle / FILE
+    try:
+        entries = _entries(file) if file.is_file() else {}
+    except (ValueError, TypeError, AttributeError):
+        entries = {}  # damaged, or of an earlier version that did not say what it had measured
+    identity = measured(scene)
+    entries[identity.digest] = {
+        "numerics": numerics_name(scene),
+        "errors": errors,
+        "measured": dict(identity.content),
+        "against": dict(measured(reference).content),
+    }
+    write_json(file, {"entries": entries})
+
+
+def _entries(file: Path) -> dict[str, Any]:
+    """Entries by digest; none in a file of an earlier version, whose errors do not say what they were measured on."""
+    document = json.loads(file.read_text(encoding="utf-8"))
+    return dict(document.get("entries", {}))

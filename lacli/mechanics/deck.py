@@ -1,50 +1,80 @@
-"""Renders FreeFEM scripts: that of a scene, and others from their templates."""
+"""The deck of a case: FreeFEM's script for exactly what the plan holds, the files it reads, and its run.
+
+Written, run and read are three verbs (``write`` and ``run`` here, ``read`` in ``results``): what was written can be run by hand.
+"""
 
 from __future__ import annotations
 
-import math
-import re
+import shlex
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from lacli.base import resources
+from lacli.base.files import write_text
+from lacli.contracts.case import Case, Plan
 from lacli.contracts.scene import Scene
-from lacli.mechanics.plan import Plan, describe
+from lacli.freefem import program as freefem
+from lacli.freefem.template import render_template
+from lacli.mechanics import engine
+from lacli.mechanics.inputs import write_inputs
 
-__all__ = ["describe", "render", "render_template"]
-
-
-def _number(value: object) -> object:
-    """Numbers reach a deck in full precision and finite, names only from our own tables."""
-    if isinstance(value, float):
-        if not math.isfinite(value):
-            raise ValueError("a number of the deck is not finite")
-        return repr(float(value))
-    return value
+SCRIPT = "deck.edp"
+OnProgress = Callable[[freefem.Progress], None]
 
 
-def render_template(template: str, plugin: Path | None, **choices: Any) -> str:
-    """A script as text; ``plugin`` is the compiled engine, without or with its ending .so (None: the engine in FreeFEM's own
-    language), ``choices`` what the template names."""
-    name = str(plugin.with_suffix("")) if plugin else ""
-    if not re.fullmatch(r"[A-Za-z0-9_./+ -]*", name):
-        raise ValueError(f"the plugin's path has characters that a FreeFEM string cannot hold: {name}")
-    environment = Environment(
-        loader=FileSystemLoader(resources.folder("templates")),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        finalize=_number,
-        autoescape=False,
-    )
-    return environment.get_template(template).render(plugin=name, **choices)
+@dataclass(frozen=True)
+class Deck:
+    """A written deck: its folder, and the engine that its script names (``plugin`` or ``script``)."""
+
+    folder: Path
+    engine: str
+
+    @property
+    def script(self) -> Path:
+        """FreeFEM's script."""
+        return self.folder / SCRIPT
+
+
+def write(case: Case, folder: Path) -> Deck:
+    """Write the script and all that it reads into ``folder``, which must be there. Raises SolverMissingError, StorageError."""
+    plugin = engine.choose(case.scene)
+    write_inputs(case, folder)
+    write_text(folder / SCRIPT, render(case.scene, case.plan, plugin))
+    return Deck(folder, engine.name(plugin))
+
+
+def run(deck: Deck, timeout_s: float, on_progress: OnProgress | None = None) -> freefem.Outcome:
+    """Run a written deck; its results stay in its folder. Raises SolverMissingError."""
+
+    def listen(line: str) -> None:
+        progress = freefem.parse_progress(line)
+        if progress is not None and on_progress is not None:
+            on_progress(progress)
+
+    return freefem.run(freefem.find(), deck.script, deck.folder, timeout_s, listen, includes=(libraries(),))
+
+
+def shell_script() -> str:
+    """A script that runs FreeFEM on the deck beside it, as ``run`` does, for a terminal or a batch system."""
+    found = freefem.find()
+    wanted = {
+        name: value
+        for name, value in found.environment(includes=(libraries(),)).items()
+        if name.startswith("FF_") or name.endswith("_NUM_THREADS") or name == "LC_ALL"
+    }
+    exports = "".join(f"export {name}={shlex.quote(value)}\n" for name, value in sorted(wanted.items()))
+    program = shlex.quote(str(found.binary))
+    return f'#!/bin/sh\nset -e\ncd "$(dirname "$0")"\n{exports}exec {program} -nw -ne -v 0 {SCRIPT}\n'
+
+
+def libraries() -> Path:
+    """The folder of the .idp files that scripts include."""
+    return resources.folder("solvers") / "freefem"
 
 
 def render(scene: Scene, plan: Plan, plugin: Path | None) -> str:
-    """The script of one scene as text."""
+    """The script of one scene as text; ``plugin`` as ``render_template`` takes it."""
     numerics = scene.numerics
     return render_template(
         "simulation.edp.j2",
@@ -56,6 +86,7 @@ def render(scene: Scene, plan: Plan, plugin: Path | None) -> str:
         tolerance=numerics.tolerance_mm,
         max_newton=numerics.max_newton,
         settle_ed=numerics.settle_ed,
+        sensitivities=plan.sensitivities and plugin is not None,
         volume_tolerance=numerics.unloading_volume_tolerance,
         max_sweeps=numerics.unloading_max_sweeps,
         vein_spring=scene.loads.vein_spring_kpa_per_mm,

@@ -3,55 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from lacli.base.arrays import FloatArray, IntArray
+from lacli.base.arrays import FloatArray
 from lacli.base.errors import AnatomyError
 from lacli.contracts.bundle import Bundle
+from lacli.contracts.case import Case
 from lacli.contracts.labels import BODY_REGIONS, EPI, PLANES, REGIONS, RINGS
 from lacli.contracts.motion import Motion
-from lacli.contracts.scene import Materials, Pericardium, Scene
-from lacli.mechanics.plan import Plan
-
-# VTK's 10-node cell -> FreeFEM's: middles of edges 01 02 03 12 13 23; triangle: of 12 20 01
-CELL_ORDER = [0, 1, 2, 3, 4, 6, 7, 5, 8, 9]
-FACE_ORDER = [0, 1, 2, 4, 5, 3]
-
-
-def as_order(bundle: Bundle, order: int) -> Bundle:
-    """The bundle with cells of that order: edge middles dropped for 1. Raises AnatomyError where they would be needed."""
-    if order == bundle.order:
-        return bundle
-    if order == 2:
-        raise AnatomyError("numerics.order is 2 but the bundle has 4-node cells: set numerics.order to 1, or mesh with order 2.")
-    used, local = np.unique(bundle.tets[:, :4], return_inverse=True)
-    new = np.full(len(bundle.points), -1, dtype=np.int64)
-    new[used] = np.arange(len(used))
-
-    def pick(values: FloatArray | None) -> FloatArray | None:
-        return None if values is None else values[used]
-
-    return Bundle(
-        points=bundle.points[used],
-        tets=local.reshape(-1, 4),
-        region=bundle.region,
-        triangles=new[bundle.triangles[:, :3]],
-        tags=bundle.tags,
-        fibre=bundle.fibre,
-        transmural=pick(bundle.transmural),
-        uac=pick(bundle.uac),
-        pericardium_coordinate=pick(bundle.pericardium_coordinate),
-        info=bundle.info,
-    )
-
-
-def corner_ids(bundle: Bundle, order: int) -> IntArray:
-    """Ids in ``bundle`` of the nodes of ``as_order(bundle, order)``."""
-    return np.arange(len(bundle.points)) if order == bundle.order else np.unique(bundle.tets[:, :4])
+from lacli.contracts.scene import Materials, Pericardium
+from lacli.freefem.files import CELL_ORDER, FACE_ORDER, write_arrays, write_medit
 
 
 def pericardium_weight(xi: FloatArray, settings: Pericardium) -> FloatArray:
@@ -60,10 +24,17 @@ def pericardium_weight(xi: FloatArray, settings: Pericardium) -> FloatArray:
     return s * s * (3.0 - 2.0 * s)
 
 
-def write_inputs(bundle: Bundle, scene: Scene, plan: Plan, motion: Motion | None, folder: Path) -> None:
-    """Write all files of one deck. ``bundle`` has the scene's order; the motion's points are ids of ``bundle``."""
+def pericardium_weight_slope(xi: FloatArray, settings: Pericardium) -> FloatArray:
+    """Derivative of ``pericardium_weight`` by ``pth``, 1/unit of xi."""
+    s = np.clip((xi - (settings.pth - settings.ramp)) / settings.ramp, 0.0, 1.0)
+    return -6.0 * s * (1.0 - s) / settings.ramp
+
+
+def write_inputs(case: Case, folder: Path) -> None:
+    """Write all files that the case's deck reads into ``folder``."""
+    bundle, scene, plan, motion = case.bundle, case.scene, case.plan, case.motion
     quadratic = bundle.order == 2
-    write_mesh(bundle, folder / "wall.mesh")
+    write_medit(folder / "wall.mesh", bundle.points, bundle.tets, bundle.region, bundle.triangles, bundle.tags)
     write_arrays(folder / "cells.txt", bundle.tets[:, CELL_ORDER] if quadratic else bundle.tets)
     write_arrays(folder / "points.txt", bundle.points.T)
     write_arrays(folder / "materials.txt", material_table(bundle, scene.materials, scene.numerics.kappa_points_kpa))
@@ -83,6 +54,9 @@ def write_inputs(bundle: Bundle, scene: Scene, plan: Plan, motion: Motion | None
         weight = pericardium_weight(bundle.pericardium_coordinate, scene.pericardium)[bundle.triangles[:, :3]]
         touched = epi & (weight > 0).any(axis=1)
         write_faces("pericardium.txt", touched, weight[touched])
+        if plan.sensitivities:
+            slope = pericardium_weight_slope(bundle.pericardium_coordinate, scene.pericardium)[bundle.triangles[:, :3]]
+            write_arrays(folder / "pericardium_slope.txt", slope[touched])
     if plan.moving:
         assert motion is not None
         spline = annulus_spline(motion)
@@ -125,32 +99,3 @@ def material_table(bundle: Bundle, materials: Materials, kappa_points_kpa: float
         mean_b = (materials.bf + materials.bft + materials.bt) / 3.0
         table[:, 11] = np.where(guccione, 1.0 / (table[:, 1] * table[:, 2] * mean_b), 1.0 / (4.0 * table[:, 1]))
     return table
-
-
-def write_mesh(bundle: Bundle, file: Path) -> None:
-    """FreeFEM's own text format (medit): straight cells with the region, boundary triangles with the tag."""
-    used = np.unique(bundle.tets[:, :4])
-    number = np.zeros(len(bundle.points), dtype=np.int64)
-    number[used] = np.arange(1, len(used) + 1)
-    with file.open("w", encoding="ascii") as out:
-        out.write(f"MeshVersionFormatted 2\nDimension 3\nVertices\n{len(used)}\n")
-        np.savetxt(out, np.column_stack([bundle.points[used], np.zeros(len(used))]), fmt="%.17g %.17g %.17g %d")
-        out.write(f"Tetrahedra\n{len(bundle.tets)}\n")
-        np.savetxt(out, np.column_stack([number[bundle.tets[:, :4]], bundle.region]), fmt="%d")
-        out.write(f"Triangles\n{len(bundle.triangles)}\n")
-        np.savetxt(out, np.column_stack([number[bundle.triangles[:, :3]], bundle.tags]), fmt="%d")
-        out.write("End\n")
-
-
-def write_arrays(file: Path, *arrays: FloatArray | IntArray) -> None:
-    """Each array as FreeFEM reads it: its length twice, then its values in C order, one a line."""
-    with file.open("w", encoding="ascii") as out:
-        for array in arrays:
-            _write_array(out, np.asarray(array).ravel())
-
-
-def _write_array(out: TextIO, values: NDArray[np.generic]) -> None:
-    if values.dtype.kind == "f" and not np.isfinite(values.astype(np.float64)).all():
-        raise AnatomyError("A number that goes into the simulation is not finite; check fibres and coordinates of the bundle.")
-    out.write(f"{len(values)}\n{len(values)}\n")
-    np.savetxt(out, values, fmt="%d" if values.dtype.kind in "iu" else "%.17g")

@@ -16,7 +16,8 @@ from pathlib import Path
 from lacli import __version__
 from lacli.base import native as compiled
 from lacli.base.errors import SolverMissingError
-from lacli.base.process import free_bytes, memory_mb
+from lacli.base.machine import free_bytes, memory_mb
+from lacli.base.process import answer_of
 from lacli.base.resources import folder as resource_folder
 from lacli.freefem import program as ff
 from lacli.freefem.program import FreeFem
@@ -84,7 +85,7 @@ def _freefem(freefem: FreeFem) -> Check:
 def _package_version(name: str) -> str:
     if shutil.which("dpkg-query") is None:
         return ""
-    answer = subprocess.run(["dpkg-query", "-W", "-f", "${Version}", name], capture_output=True, text=True, check=False)
+    answer = answer_of(["dpkg-query", "-W", "-f", "${Version}", name], timeout_s=30)
     return answer.stdout.strip() if answer.returncode == 0 else ""
 
 
@@ -109,7 +110,7 @@ def _plugins(freefem: FreeFem) -> list[Check]:
 
 def blas_library(binary: Path) -> Path | None:
     """The file that a program's libblas.so.3 really is (Debian chooses it by alternatives)."""
-    answer = subprocess.run(["ldd", str(binary)], capture_output=True, text=True, check=False)
+    answer = answer_of(["ldd", str(binary)], timeout_s=30)
     found = re.search(r"libblas\.so\S*\s+=>\s+(\S+)", answer.stdout)
     return Path(found[1]).resolve() if found else None
 
@@ -145,7 +146,7 @@ def _run_python(code: str) -> tuple[bool, str]:
     """In a process of its own, because a graphics library may end the whole process."""
     try:
         command = [sys.executable, "-c", code]
-        answer = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False, timeout=120)
+        answer = answer_of(command, timeout_s=120)
     except subprocess.TimeoutExpired:
         return False, "no answer within 120 s"
     if answer.returncode == 0 and "@ " in answer.stdout:

@@ -3,44 +3,26 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
 
 import numpy as np
 
 from lacli.base.errors import AnatomyError
+from lacli.contracts import bundle as bundles
 from lacli.contracts.bundle import Bundle
+from lacli.contracts.case import Case, Phase, Plan, as_order, motion_as_order
 from lacli.contracts.labels import EPI, REGIONS, RINGS
 from lacli.contracts.motion import Motion
 from lacli.contracts.scene import MMHG_KPA, Scene
 from lacli.motion.annulus import scene_motion
 
 
-@dataclass(frozen=True)
-class Phase:
-    """A stretch of the load: pressures in kPa, times as shares of the cycle; ``file`` names the state at its end."""
-
-    name: str
-    file: str
-    pressure_from: float
-    pressure_to: float
-    time_from: float
-    time_to: float
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Which terms the deck contains, and its phases in order."""
-
-    title: str
-    unloading: bool
-    prestrain: bool
-    unloaded: bool
-    moving: bool
-    vein_springs: bool
-    pericardium: bool
-    outward_only: bool
-    fibres: bool
-    phases: tuple[Phase, ...]
+def prepare(scene: Scene) -> Case:
+    """The scene with its bundle, motion and plan, read and checked. Raises AnatomyError, InputError."""
+    whole = bundles.load(scene.anatomy.bundle)
+    motion = scene_motion(scene, whole)
+    order = scene.numerics.order
+    bundle = as_order(whole, order)
+    return Case(scene, bundle, motion_as_order(motion, whole, order), make_plan(scene, bundle, motion))
 
 
 def make_plan(scene: Scene, bundle: Bundle, motion: Motion | None) -> Plan:
@@ -65,6 +47,7 @@ def make_plan(scene: Scene, bundle: Bundle, motion: Motion | None) -> Plan:
             "Set pericardium.k_peri_kpa_per_um to 0, or mesh again."
         )
     moving = motion is not None
+    backward = scene.loads.edp_mmhg > 0 and scene.numerics.unloading == "backward"
     return Plan(
         title=_title(scene, moving, veins, pericardium),
         unloading=scene.loads.edp_mmhg > 0,
@@ -75,6 +58,7 @@ def make_plan(scene: Scene, bundle: Bundle, motion: Motion | None) -> Plan:
         pericardium=pericardium,
         outward_only=scene.pericardium.outward_only,
         fibres=scene.materials.law == "guccione",
+        sensitivities=scene.outputs.sensitivities and not backward,
         phases=_phases(scene, motion),
     )
 
@@ -92,6 +76,17 @@ def es_time(scene: Scene, motion: Motion | None) -> float:
     return motion.es_time if motion is not None else scene.motion.es_time
 
 
+def pressure_shares(scene: Scene, motion: Motion | None, time: float) -> tuple[float, float]:
+    """Derivatives of ``pressure_kpa`` along EDP and ESP; of a scene's own transient, EDP is the first value alone."""
+    given = scene.loads.transient_mmhg
+    if given is not None:
+        times = [time for time, _ in given]
+        return float(np.interp(time, times, [1.0] + [0.0] * (len(times) - 1))), 0.0
+    es = es_time(scene, motion)
+    risen = float(np.interp(time, [0.0, es, es + 0.5 * (1.0 - es), 1.0], [0.0, 1.0, 0.0, 0.0]))
+    return 1.0 - risen, risen
+
+
 def pressure_kpa(scene: Scene, motion: Motion | None, time: float) -> float:
     """Idealised transient: EDP -> ESP linearly up to end-systole, back over half of what is left, then constant; or the
     scene's own ``transient_mmhg``, scaled by nothing."""
@@ -99,22 +94,22 @@ def pressure_kpa(scene: Scene, motion: Motion | None, time: float) -> float:
     if given is not None:
         times, values = np.array(given).T
         return float(np.interp(time, times, values)) * MMHG_KPA
-    es = es_time(scene, motion)
-    low, high = scene.loads.edp_kpa, scene.loads.esp_kpa
-    return float(np.interp(time, [0.0, es, es + 0.5 * (1.0 - es), 1.0], [low, high, low, low]))
+    by_edp, by_esp = pressure_shares(scene, motion, time)
+    return by_edp * scene.loads.edp_kpa + by_esp * scene.loads.esp_kpa
 
 
 def _phases(scene: Scene, motion: Motion | None) -> tuple[Phase, ...]:
     es = es_time(scene, motion)
     phases = []
     if scene.loads.edp_mmhg > 0:
-        phases.append(Phase("load", "ed", 0.0, scene.loads.edp_kpa, 0.0, 0.0))
+        phases.append(Phase("load", "ed", 0.0, scene.loads.edp_kpa, 0.0, 0.0, 1.0, 0.0))
     count = max(1, scene.outputs.frames)
     times = list(np.linspace(0.0, es, count + 1))
     if scene.outputs.conduit:
         times += list(np.linspace(es, 1.0, max(4, count) + 1)[1:])
     for index, (start, end) in enumerate(itertools.pairwise(times)):
         reservoir = end <= es + 1e-12
+        by_edp, by_esp = pressure_shares(scene, motion, float(end))
         phases.append(
             Phase(
                 name="reservoir" if reservoir else "conduit",
@@ -123,6 +118,8 @@ def _phases(scene: Scene, motion: Motion | None) -> tuple[Phase, ...]:
                 pressure_to=pressure_kpa(scene, motion, float(end)),
                 time_from=float(start),
                 time_to=float(end),
+                by_edp=by_edp,
+                by_esp=by_esp,
             )
         )
     return tuple(phases)
@@ -158,4 +155,11 @@ def describe(scene: Scene, bundle: Bundle) -> list[tuple[str, bool, str]]:
         ("outward only", plan.pericardium and plan.outward_only, "pericardium.outward_only"),
         ("transient", scene.outputs.frames > 1, f"outputs.frames is {scene.outputs.frames}"),
         ("conduit", scene.outputs.conduit, "outputs.conduit"),
+        (
+            "sensitivities",
+            plan.sensitivities,
+            "outputs.sensitivities"
+            if plan.sensitivities or not scene.outputs.sensitivities
+            else "none with backward displacement; set numerics.unloading to prestrain",
+        ),
     ]

@@ -1,35 +1,27 @@
-"""One scene from start to end: deck, FreeFEM, features, files. The run's folder is complete or is not there."""
+"""One scene from start to end: load, plan, write, run, read, keep. The run's folder is complete or is not there."""
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable
+import json
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import meshio
-import numpy as np
-import pandas as pd
-
-from lacli.base import resources
-from lacli.base.arrays import FloatArray
-from lacli.base.errors import SimulationError
-from lacli.base.files import write_json, write_text
-from lacli.contracts import bundle as bundles
-from lacli.contracts.bundle import Bundle
-from lacli.contracts.motion import Motion
-from lacli.contracts.scene import MMHG_KPA, Scene
+from lacli.base.errors import InputError, SimulationError, StorageError, UsageError
+from lacli.base.files import check_folder, write_json, write_text
+from lacli.contracts.case import Case
+from lacli.contracts.identity import run_key
+from lacli.contracts.scene import Scene, dump_scene, load_scene
 from lacli.freefem import program as freefem
-from lacli.mechanics import engine, inputs
+from lacli.mechanics import deck, results, sensitivities
 from lacli.mechanics.accuracy import known_errors
-from lacli.mechanics.deck import render
-from lacli.mechanics.features import cavity_volume_ml, cell_gradient, displacements_mm, regional_extras
-from lacli.mechanics.plan import Plan, make_plan
-from lacli.mechanics.store import OpenRun, StoredRun, open_run
-from lacli.motion.annulus import scene_motion
+from lacli.mechanics.deck import Deck, OnProgress
+from lacli.mechanics.plan import prepare
+from lacli.mechanics.store import OpenRun, StoredRun, check_products, open_run
 
-OnProgress = Callable[[freefem.Progress], None]
+_WRITTEN = "deck.json"  # the key of a deck that is run by hand
+_PRODUCTS = ("scene.toml", deck.SCRIPT, "features.json", "transients.csv")
 
 
 @dataclass(frozen=True)
@@ -45,235 +37,125 @@ class RunResult:
     manifest: dict[str, Any]
 
 
-@dataclass(frozen=True)
-class State:
-    """Positions x and reference positions X (n, 3) mm in the bundle's numbering; pressure in kPa."""
-
-    x: FloatArray
-    reference: FloatArray
-    pressure: float
-    min_jacobian: float
-
-
 def run_scene(scene: Scene, root: Path, on_progress: OnProgress | None = None) -> RunResult:
     """Simulate, or return what is stored for the same content. A simulation that fails is a result, not an exception.
 
     Raises AnatomyError, SceneError, SolverMissingError, StorageError.
     """
-    bundle = bundles.load(scene.anatomy.bundle)
-    motion = scene_motion(scene, bundle)
-    plan = make_plan(scene, bundle, motion)
+    case = prepare(scene)
     with open_run(root, scene) as run:
         if run.stored is None:
-            _simulate(run, scene, bundle, motion, plan, on_progress)
+            written = deck.write(case, run.folder)
+            _keep(run, case, written, deck.run(written, scene.numerics.timeout_s, on_progress))
         assert run.stored is not None
-        return _result(run.stored)
+        return _result(run.stored, scene)
 
 
-def _result(stored: StoredRun) -> RunResult:
-    features = stored.features() if stored.status == "done" else {}
+def _result(stored: StoredRun, scene: Scene) -> RunResult:
+    features: dict[str, Any] = dict(stored.features()) if stored.status == "done" else {}
+    # looked up now, not kept with the run: they may have been measured since
+    if features and (errors := known_errors(scene)):
+        features["discretisation_error"] = errors
     return RunResult(stored.key, stored.folder, stored.status, stored.kind, stored.message, features, stored.manifest)
 
 
-def _simulate(
-    run: OpenRun, scene: Scene, bundle: Bundle, motion: Motion | None, plan: Plan, on_progress: OnProgress | None
-) -> None:
-    folder = run.folder
-    work = inputs.as_order(bundle, scene.numerics.order)
-    moved = _renumbered(motion, bundle, scene.numerics.order)
-    inputs.write_inputs(work, scene, plan, moved, folder)
-    script = folder / "deck.edp"
-    plugin = engine.choose(scene)
-    write_text(script, render(scene, plan, plugin))
-
-    def listen(line: str) -> None:
-        progress = freefem.parse_progress(line)
-        if progress is not None and on_progress is not None:
-            on_progress(progress)
-
-    solvers = resources.folder("solvers") / "freefem"
-    outcome = freefem.run(freefem.find(), script, folder, scene.numerics.timeout_s, listen, includes=(solvers,))
+def _keep(run: OpenRun, case: Case, written: Deck, outcome: freefem.Outcome) -> None:
+    """Read what the deck left, write the products beside it, and give the run its name."""
     usage: dict[str, Any] = {
         "cpu_s": outcome.cpu_s,
         "peak_memory_mb": outcome.peak_memory_mb,
-        "engine": engine.name(plugin),
+        "engine": written.engine,
         "versions": {"freefem": freefem.find().version},
     }
-    if outcome.kind is not None and not (outcome.kind == "timeout" and _results_stand(folder)):
-        _keep_last_state(work, plan, folder)
-        _tidy(folder)
+    if outcome.kind is not None and not (outcome.kind == "timeout" and results.stand(run.folder)):
+        results.keep_last_state(case, run.folder)
+        results.tidy(run.folder)
         run.finish("failed", kind=outcome.kind, message=outcome.message, **usage)
         return
-    try:
-        states, history = _read_states(work, plan, folder)
-        features = _features(work, scene, plan, states, history)
-    except (OSError, ValueError, KeyError, IndexError) as error:
-        raise SimulationError("bad_output", f"{folder}: FreeFEM's results cannot be read ({error}).") from error
-    features |= {"cpu_s": outcome.cpu_s, "peak_memory_mb": outcome.peak_memory_mb}
-    if errors := known_errors(scene):
-        features["discretisation_error"] = errors
-    write_json(folder / "features.json", features)
-    _write_transients(work, plan, states, folder)
-    products = ["scene.toml", "deck.edp", "features.json", "transients.csv"]
-    products += _write_fields(work, scene, plan, states, folder)
-    _tidy(folder)
+    features, products = collect(case, run.folder, cpu_s=outcome.cpu_s, peak_memory_mb=outcome.peak_memory_mb)
+    if "sensitivities" in features:
+        usage["sensitivities"] = features["sensitivities"]
+    results.tidy(run.folder)
     run.finish("done", products=products, newton_iterations=features["newton_iterations"], **usage)
 
 
-def _history(folder: Path) -> list[str]:
-    """Whole lines of the deck's history; [] where there is none."""
-    with contextlib.suppress(OSError):
-        return (folder / "history.txt").read_text(encoding="ascii").split("\n")[:-1]
-    return []
+def collect(case: Case, folder: Path, **cost: float) -> tuple[dict[str, Any], list[str]]:
+    """Turn the raw results of a deck that has run in ``folder`` into ``features.json``, tables and fields.
+
+    cost: cpu_s and peak_memory_mb, where they are known. Gives the features and the products' names.
+    Raises SimulationError where FreeFEM's results cannot be read.
+    """
+    found = results.read(case, folder)
+    features = results.features(case, found) | cost
+    products = [*_PRODUCTS, *sensitivities.write(case, found, folder)]
+    if said := sensitivities.statement(case, found):
+        features["sensitivities"] = said
+    write_json(folder / "features.json", features)
+    results.transients(case, found).to_csv(folder / "transients.csv", index=False)
+    return features, [*products, *results.write_fields(case, found, folder)]
 
 
-def _results_stand(folder: Path) -> bool:
-    """Whether end-systole was reached: only the unloaded state, an extra, may still be missing."""
-    return "end" in _history(folder)
+def write_by_hand(scene: Scene, folder: Path) -> Path:
+    """Write the deck of a scene, all that it reads, and a shell script that runs FreeFEM on it; gives that script.
+
+    ``read_by_hand`` reads what the run leaves. The folder must be absent or empty. Raises StorageError, AnatomyError,
+    SolverMissingError.
+    """
+    check_folder(folder)
+    if folder.is_dir() and any(folder.iterdir()):
+        raise StorageError(f"{folder}: is not empty; choose a new folder for the deck.")
+    case = prepare(scene)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_text(folder / "scene.toml", dump_scene(scene))
+    write_json(folder / _WRITTEN, {"key": run_key(scene)})
+    deck.write(case, folder)
+    script = folder / "run.sh"
+    write_text(script, deck.shell_script())
+    script.chmod(script.stat().st_mode | 0o111)
+    return script
 
 
-def _renumbered(motion: Motion | None, bundle: Bundle, order: int) -> Motion | None:
-    """The motion with point ids of the mesh of that order."""
-    if motion is None or order == bundle.order:
-        return motion
-    kept = inputs.corner_ids(bundle, order)
-    inside = np.isin(motion.wall_point, kept)
-    ids = np.searchsorted(kept, motion.wall_point[inside])
-    return Motion(motion.times, ids, motion.positions[:, inside], motion.es_time)
+def read_by_hand(folder: Path) -> dict[str, Any]:
+    """Features of a deck of ``write_by_hand`` that has run; ``features.json``, transients and fields are written beside it.
 
-
-def _read_states(bundle: Bundle, plan: Plan, folder: Path) -> tuple[dict[str, State], dict[str, list[float]]]:
-    """States by name in order of time, and the other lines of the history."""
-    states: dict[str, State] = {}
-    other: dict[str, list[float]] = {}
-    lines = _history(folder)
-    if "end" not in lines:
-        raise ValueError("history.txt has no end")
-    for line in lines:
-        words = line.split()
-        if len(words) >= 5 and words[0] == "state":
-            table = np.loadtxt(folder / f"{words[1]}.txt").reshape(-1, 6)
-            if len(table) != len(bundle.points) or not np.isfinite(table).all():
-                raise ValueError(f"{words[1]}.txt is incomplete")
-            states[words[1]] = State(table[:, :3], table[:, 3:], float(words[2]), float(words[4]))
-        elif words and words[0] != "end":
-            other[words[0]] = [float(word) for word in words[1:]]
-    if "ed" not in states or "es" not in states:
-        raise ValueError("history.txt lacks a state")
-    return states, other
-
-
-def _features(
-    bundle: Bundle, scene: Scene, plan: Plan, states: dict[str, State], history: dict[str, list[float]]
-) -> dict[str, Any]:
-    image = bundle.points
-    es = states["es"]
-    features: dict[str, Any] = {
-        "edv_ml": cavity_volume_ml(bundle, states["ed"].x),
-        "esv_ml": cavity_volume_ml(bundle, es.x),
-        **displacements_mm(bundle, image, es.x),
-        "unloaded_volume_ml": _unloaded_volume(bundle, plan, states),
-    }
-    if plan.unloading:
-        volume, mean, p95, iterations = history["ed_error"]
-        features |= {"ed_volume_error": volume, "ed_shape_error_mean_mm": mean, "ed_shape_error_p95_mm": p95}
-        features |= {"unloading_iterations": int(iterations), "ed_unstable_modes": int(history["ed_modes"][0])}
-    else:
-        features |= {"ed_volume_error": 0.0, "ed_shape_error_mean_mm": 0.0, "ed_shape_error_p95_mm": 0.0}
-    unknowns, newton, steps, backs = (int(v) for v in history["counts"])
-    features |= {
-        "es_unstable_modes": int(history["es_modes"][0]),
-        "min_jacobian": min(state.min_jacobian for name, state in states.items() if name != "unloaded"),
-        "unknowns": unknowns,
-        "newton_iterations": newton,
-        "load_steps": steps,
-        "steps_back": backs,
-    }
-    if scene.outputs.strain:
-        features |= regional_extras(bundle, states["ed"].x, es.x)
+    Raises InputError where the folder holds no such deck, UsageError where bundle, solver or version are no longer those that it
+    was written for, SimulationError where FreeFEM's results are missing or incomplete.
+    """
+    scene = _scene_of(folder, _WRITTEN)
+    features, _ = collect(prepare(scene), folder)
     return features
 
 
-def _unloaded_volume(bundle: Bundle, plan: Plan, states: dict[str, State]) -> float | None:
-    """Cavity volume without pressure, mL; None where it was not asked for or did not converge."""
-    if plan.prestrain:
-        return cavity_volume_ml(bundle, states["unloaded"].x) if "unloaded" in states else None
-    return cavity_volume_ml(bundle, states["es"].reference)
+def rerun(folder: Path, on_progress: OnProgress | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Run a stored run once more, its deck and inputs written anew from its scene: features as stored, and as found now.
+
+    Nothing is kept of the second run. Raises as ``read_by_hand`` does, and SimulationError where the second run fails.
+    """
+    scene = _scene_of(folder, "manifest.json")
+    manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+    stored = StoredRun(manifest["key"], folder, manifest)
+    check_products(stored, manifest.get("products", {}))
+    before = stored.features()
+    case = prepare(scene)
+    with tempfile.TemporaryDirectory(prefix=".rerun-", dir=folder.parent) as name:
+        place = Path(name)
+        outcome = deck.run(deck.write(case, place), scene.numerics.timeout_s, on_progress)
+        if outcome.kind is not None and not results.stand(place):
+            raise SimulationError(outcome.kind, f"{folder}: the second run failed ({outcome.kind}): {outcome.message}")
+        after, _ = collect(case, place, cpu_s=outcome.cpu_s, peak_memory_mb=outcome.peak_memory_mb)
+    return before, after
 
 
-def _write_transients(bundle: Bundle, plan: Plan, states: dict[str, State], folder: Path) -> None:
-    by_file = {phase.file: phase for phase in plan.phases if phase.name != "load"}
-    rows = []
-    for name, state in states.items():
-        if name == "unloaded":
-            continue
-        phase = by_file.get(name)
-        rows.append(
-            {
-                "time": phase.time_to if phase else 0.0,
-                "phase": phase.name if phase else "ed",
-                "pressure_mmhg": state.pressure / MMHG_KPA,
-                "volume_ml": cavity_volume_ml(bundle, state.x),
-                **displacements_mm(bundle, bundle.points, state.x),
-            }
+def _scene_of(folder: Path, record: str) -> Scene:
+    """The scene of a run's folder, which ``record`` gives a key, checked to be the same content still."""
+    try:
+        key = json.loads((folder / record).read_text(encoding="utf-8"))["key"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{folder}: no run of lacli, {record} is missing or damaged ({error}).") from error
+    scene = load_scene(folder / "scene.toml")
+    if run_key(scene) != key:
+        raise UsageError(
+            f"{folder}: scene.toml, the bundle {scene.anatomy.bundle} or lacli's solver are no longer what this run was made of "
+            f"(key {key}, now {run_key(scene)}). Simulate the scene anew."
         )
-    pd.DataFrame(rows).to_csv(folder / "transients.csv", index=False)
-
-
-def _write_fields(bundle: Bundle, scene: Scene, plan: Plan, states: dict[str, State], folder: Path) -> list[str]:
-    """VTU files of the asked states and a .pvd; their names relative to the folder."""
-    if scene.outputs.fields == "none":
-        return []
-    (folder / "fields").mkdir(exist_ok=True)
-    names = ["ed", "es"] if scene.outputs.fields == "es" else [name for name in states if name != "unloaded"]
-    free = states["unloaded"].x if "unloaded" in states else None if plan.prestrain else states["es"].reference
-    times = {phase.file: phase.time_to for phase in plan.phases if phase.name != "load"}
-    entries, products = [], []
-    for name in names:
-        file = f"fields/{name}.vtu"
-        write_state(bundle, states[name].x, free, folder / file)
-        entries.append(f'    <DataSet timestep="{times.get(name, 0.0):.6g}" file="{name}.vtu"/>')
-        products.append(file)
-    if free is not None:
-        write_state(bundle, free, free, folder / "fields" / "unloaded.vtu")
-        products.append("fields/unloaded.vtu")
-    pvd = [
-        '<?xml version="1.0"?>',
-        '<VTKFile type="Collection" version="0.1">',
-        "  <Collection>",
-        *entries,
-        "  </Collection>",
-        "</VTKFile>",
-    ]
-    write_text(folder / "fields" / "series.pvd", "\n".join(pvd) + "\n")
-    return [*products, "fields/series.pvd"]
-
-
-def write_state(bundle: Bundle, x: FloatArray, unloaded: FloatArray | None, file: Path) -> None:
-    """One state as VTU: deformed points, displacement from the image and, where known, from the unloaded state (mm), regions,
-    fibres."""
-    kind = "tetra" if bundle.order == 1 else "tetra10"
-    cell_data: dict[str, list[Any]] = {"region": [bundle.region.astype(np.int32)]}
-    if bundle.fibre is not None:
-        moved = np.einsum("mij,mj->mi", cell_gradient(bundle, bundle.points, x), bundle.fibre)
-        cell_data["fibre"] = [moved / np.linalg.norm(moved, axis=1, keepdims=True)]
-    point_data = {"displacement": x - bundle.points}
-    if unloaded is not None:
-        point_data["displacement_from_unloaded"] = x - unloaded
-    meshio.Mesh(x, [(kind, bundle.tets)], point_data=point_data, cell_data=cell_data).write(file, binary=True, compression="zlib")
-
-
-def _keep_last_state(bundle: Bundle, plan: Plan, folder: Path) -> None:
-    """The state a failed run had reached, as VTU, where the deck wrote one."""
-    file = folder / "last.txt"
-    with contextlib.suppress(OSError, ValueError):
-        table = np.loadtxt(file).reshape(-1, 6)
-        if len(table) == len(bundle.points) and np.isfinite(table).all():
-            (folder / "fields").mkdir(exist_ok=True)
-            write_state(bundle, table[:, :3], None if plan.prestrain else table[:, 3:], folder / "fields" / "last.vtu")
-
-
-def _tidy(folder: Path) -> None:
-    """Remove the deck's inputs and raw states; all that is in them is in the bundle and in fields/."""
-    for file in [*folder.glob("*.txt"), *folder.glob("*.txt.part"), folder / "wall.mesh"]:
-        file.unlink(missing_ok=True)
+    return scene

@@ -2,36 +2,38 @@
 
 A run is the folder ``<root>/<key>``. It is written as ``<root>/.tmp-<key>-<pid>`` under a lock that dies with its
 process, and renamed when it has ended, well or badly. It is complete when its manifest says ``done`` and every product
-the manifest lists is there in its full size. A failed run stays, with its kind, and counts.
+the manifest lists is there as it was written: of small files (features, transients, scene, deck) the content is compared
+whenever the run is found, of fields the size, and their content when they are used (``check_products``). A failed run stays,
+with its kind, and counts; one that the machine ended (``lacli.contracts.failures``) leaves nothing and runs again.
 """
 
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import logging
 import os
 import platform
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
 from lacli import __version__
 from lacli.base.errors import StorageError
 from lacli.base.files import room, storing, write_json, write_text
-from lacli.contracts.identity import run_key
+from lacli.base.locks import lock
+from lacli.contracts.failures import of_the_machine
+from lacli.contracts.identity import file_digest, run_key
 from lacli.contracts.scene import Scene, dump_scene
 
 _logger = logging.getLogger(__name__)
-# failures of the machine, not of the scene: asked again, they run again
-TRANSIENT_KINDS = frozenset({"killed", "disk_full", "out_of_memory"})
+_ALWAYS_READ = 1 << 18  # bytes; a smaller product's content is compared whenever its run is found (0.2 ms)
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,7 @@ class OpenRun:
 
         status: ``done`` or ``failed`` (then with ``kind``). products: the files that make the run complete, relative to
         the folder; by default all that are there. fields: more of the manifest (cpu_s, peak_memory_mb, seeds, versions).
+        A run that the machine ended is told, but nothing of it is kept: ``stored.folder`` is where it would have been.
         Raises StorageError; the folder is then removed when the block of ``open_run`` ends.
         """
         if status not in ("done", "failed") or (status == "failed") == (kind is None):
@@ -102,11 +105,16 @@ class OpenRun:
             "wall_s": round(time.time() - self.started, 3),
             "machine": {"system": platform.platform(), "processors": os.cpu_count()},
             "products": {name: (self.folder / name).stat().st_size for name in names if name not in missing},
+            "sha256": {name: file_digest(self.folder / name) for name in names if name not in missing},
             **fields,
             "versions": {**versions, **fields.get("versions", {})},
         }
-        write_json(self.folder / "manifest.json", manifest)
         final = self.root / self.key
+        if of_the_machine(kind):
+            shutil.rmtree(self.folder, ignore_errors=True)
+            self.stored = StoredRun(self.key, final, manifest)
+            return self.stored
+        write_json(self.folder / "manifest.json", manifest)
         with storing(final):
             _make_way(final)
             self.folder.rename(final)
@@ -119,17 +127,19 @@ class OpenRun:
 def open_run(root: Path, scene: Scene, *, retry_failed: bool = False) -> Iterator[OpenRun]:
     """Lock the scene's key below ``root`` and give a folder to write into, ``scene.toml`` already in it.
 
-    If the run has ended before, ``stored`` is set and nothing is to be done. Failed runs count as ended, but for those
-    of TRANSIENT_KINDS, or all of them with ``retry_failed``. A second process waits here until the first has finished.
+    If the run has ended before, ``stored`` is set and nothing is to be done. Failed runs count as ended, or none of them
+    with ``retry_failed``. A second process waits here until the first has finished.
     A block that ends without ``finish`` (an error, Ctrl-C) leaves nothing; a full disk becomes StorageError.
     """
     key = run_key(scene)
     with storing(root):
         (root / ".locks").mkdir(parents=True, exist_ok=True)
-    with room(root / key), _lock(root, key):
+    with room(root / key), lock(root / ".locks" / key, "which does the same simulation"):
         _sweep(root, key)
-        stored = find_run(root, key)
-        if stored is not None and (stored.status == "done" or not (retry_failed or stored.kind in TRANSIENT_KINDS)):
+        stored, trouble = _examine(root, key)
+        if trouble:
+            _logger.warning("%s: %s; the run is made again.", root / key, trouble)
+        if stored is not None and (stored.status == "done" or not retry_failed):
             yield OpenRun(key, root, stored.folder, stored)
             return
         run = OpenRun(key, root, root / f".tmp-{key}-{os.getpid()}")
@@ -145,18 +155,46 @@ def open_run(root: Path, scene: Scene, *, retry_failed: bool = False) -> Iterato
 
 def find_run(root: Path, key: str) -> StoredRun | None:
     """The run of that key if it has ended (done and complete, or failed), else None."""
+    return _examine(root, key)[0]
+
+
+def check_products(run: StoredRun, names: Iterable[str]) -> None:
+    """Before products are used: whether they are as the run wrote them. Raises StorageError that names the one that is not."""
+    for name in names:
+        if trouble := _trouble(run.folder, run.manifest, name, whole=True):
+            raise StorageError(f"{run.folder}: {trouble}. Remove this folder and run the scene again.")
+
+
+def _examine(root: Path, key: str) -> tuple[StoredRun | None, str]:
+    """The run of that key if it has ended; else None, and what is wrong with what is there ('' where nothing is)."""
     folder = root / key
     try:
         manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
-        if manifest["key"] != key or manifest["status"] not in ("done", "failed"):
-            return None
+        if manifest["key"] != key or manifest["status"] not in ("done", "failed") or of_the_machine(manifest["kind"]):
+            return None, "it was ended by the machine" if of_the_machine(manifest["kind"]) else "manifest.json is not this run's"
         if manifest["status"] == "done":
             for name, size in manifest["products"].items():
-                if (folder / name).stat().st_size != size:
-                    return None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return None
-    return StoredRun(key, folder, manifest)
+                if trouble := _trouble(folder, manifest, name, whole=size <= _ALWAYS_READ):
+                    return None, trouble
+        return StoredRun(key, folder, manifest), ""
+    except FileNotFoundError:
+        return None, "manifest.json is missing" if folder.is_dir() else ""
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        return None, f"manifest.json cannot be read ({error})"
+
+
+def _trouble(folder: Path, manifest: dict[str, Any], name: str, whole: bool) -> str:
+    """What is wrong with a product, '' if nothing. whole: compare its content, not just its size."""
+    file = folder / name
+    if not file.is_file():
+        return f"{name} is missing"
+    if file.stat().st_size != manifest["products"][name]:
+        return f"{name} has another size than it was written in"
+    # runs of earlier versions know sizes alone
+    known = manifest.get("sha256", {}).get(name)
+    if whole and known is not None and file_digest(file) != known:
+        return f"{name} was changed since it was written"
+    return ""
 
 
 def list_runs(root: Path) -> list[StoredRun]:
@@ -183,53 +221,16 @@ def _make_way(final: Path) -> None:
         shutil.rmtree(old, ignore_errors=True)
 
 
-@contextlib.contextmanager
-def _lock(root: Path, key: str, wait: bool = True) -> Iterator[bool]:
-    """An exclusive lock on a key that the system releases if the process dies. Yields whether it was got."""
-    path = root / ".locks" / key
-    stream = _locked(path, wait)
-    if stream is None:
-        yield False
-        return
-    try:
-        yield True
-    finally:
-        path.unlink(missing_ok=True)
-        stream.close()
-
-
-def _locked(path: Path, wait: bool) -> IO[bytes] | None:
-    while True:
-        stream = path.open("ab")
-        try:
-            try:
-                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                if not wait:
-                    raise
-                _logger.warning("Another process does run %s at this moment; waiting for it.", path.name)
-                fcntl.flock(stream, fcntl.LOCK_EX)
-            # the one before us removed the file when it left: then ours is not the file others see
-            if path.exists() and os.fstat(stream.fileno()).st_ino == path.stat().st_ino:
-                return stream
-        except BlockingIOError:
-            stream.close()
-            return None
-        except FileNotFoundError:
-            pass
-        except BaseException:
-            stream.close()
-            raise
-        stream.close()
-
-
 def _sweep(root: Path, held: str) -> None:
-    """Remove temporaries nobody writes any more: whoever holds a key's lock is the only writer of that key."""
-    for folder in root.glob(".tmp-*"):
-        key = folder.name.split("-")[1]
-        if key == held:
-            shutil.rmtree(folder, ignore_errors=True)
-            continue
-        with _lock(root, key, wait=False) as got:
+    """Remove what killed processes left: whoever holds a key's lock is the only writer of that key."""
+    left = {path.name.split("-")[1] for path in root.glob(".tmp-*")} | {path.name for path in (root / ".locks").iterdir()}
+    for key in left - {held}:
+        with lock(root / ".locks" / key, "", wait=False) as got:
             if got:
-                shutil.rmtree(folder, ignore_errors=True)
+                _remove_temporaries(root, key)
+    _remove_temporaries(root, held)
+
+
+def _remove_temporaries(root: Path, key: str) -> None:
+    for folder in root.glob(f".tmp-{key}-*"):
+        shutil.rmtree(folder, ignore_errors=True)

@@ -83,4 +83,4 @@ def keep(variants: Sequence[Variant], against: Variant) -> None:
     """Write the errors of each choice on the scene's own mesh into its bundle, so that later results carry them."""
     for variant in variants:
         if variant.mesh == "own" and variant.status == "done" and variant is not against:
-            record(variant.scene.anatomy.bundle, variant.numerics, errors(variant, against))
+            record(variant.scene, errors(variant, against), against.scene)

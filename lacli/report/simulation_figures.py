@@ -21,10 +21,12 @@ from numpy.typing import NDArray
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import InputError
 from lacli.base.files import replacing
+from lacli.base.process import answer_of
 from lacli.contracts.labels import REGIONS, RINGS
 from lacli.report.style import PLANE_COLOUR, REGION_COLOURS, RING_COLOUR, paper
 
 TRANSIENTS, SHAPES = "transients.png", "shapes.png"
+SOURCES = ("transients.csv", "fields/ed.vtu", "fields/es.vtu")  # products of a run that the pictures are drawn from
 _COLUMNS = ("time", "phase", "pressure_mmhg", "volume_ml", "d_global_mm")
 _PIXELS = 700
 
@@ -43,7 +45,7 @@ def draw_apart(folder: Path) -> tuple[list[Path], str]:
     """As ``draw``, in a process of its own: the pictures, and what went wrong ('' if nothing)."""
     command = [sys.executable, "-m", __name__, str(folder)]
     try:
-        answer = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False, timeout=300)
+        answer = answer_of(command, timeout_s=300)
     except subprocess.TimeoutExpired:
         return [], "drawing took more than 300 s"
     drawn = [Path(line) for line in answer.stdout.splitlines() if line.endswith(".png")]

@@ -46,12 +46,12 @@ def images(
 ) -> SyntheticImages:
     """Label map and CT of a seed's atrium; ``spacing_mm`` along x, y, z; Gaussian noise and blur (standard deviations)."""
     shape = sized(seed, volume_ml)
-    grid = _Grid.around(shape, np.asarray(spacing_mm, dtype=float))
-    inside, valve = _fields(shape, grid)
+    grid = Grid.around(shape, np.asarray(spacing_mm, dtype=float))
+    inside, valve = distance_fields(shape, grid)
     label = np.zeros(grid.size[::-1], dtype=np.int16)
     wall = (inside > 0) & (inside <= thickness_mm) & (valve <= 0)
     label[wall] = WALL
-    label[_ventricle(shape, grid, valve)] = LV
+    label[ventricle(shape, grid, valve)] = LV
     label[(inside <= 0) & (valve <= 0)] = LA
     fat_share, fat_ml = _fat(shape, grid, inside, thickness_mm)
     hu = np.full(label.shape, HOUNSFIELD["tissue"])
@@ -68,15 +68,15 @@ def images(
 
 
 @dataclass(frozen=True)
-class _Grid:
+class Grid:
     low: FloatArray
     spacing: FloatArray
     size: NDArray[np.int64]
 
     @classmethod
-    def around(cls, shape: Shape, spacing: FloatArray) -> _Grid:
+    def around(cls, shape: Shape, spacing: FloatArray, margin_mm: float = 8.0) -> Grid:
         low, high = shape.bounds()
-        low, high = low - 8.0, high + 8.0
+        low, high = low - margin_mm, high + margin_mm
         return cls(low, spacing, np.ceil((high - low) / spacing).astype(np.int64))
 
     def points(self, k: int) -> FloatArray:
@@ -86,12 +86,12 @@ class _Grid:
         return self.low + index * self.spacing
 
 
-def _fields(shape: Shape, grid: _Grid) -> tuple[FloatArray, FloatArray]:
+def distance_fields(shape: Shape, grid: Grid) -> tuple[FloatArray, FloatArray]:
     """Distance to the uncut cavity (negative inside) and height over the mitral plane, per voxel (nk, nj, ni) mm.
 
     The distance is evaluated on every second voxel and splined between: it is smooth on that scale.
     """
-    coarse = _Grid(grid.low, 2.0 * grid.spacing, grid.size // 2 + 1)
+    coarse = Grid(grid.low, 2.0 * grid.spacing, grid.size // 2 + 1)
     inside = np.stack(
         [shape.implicit(coarse.points(k)).reshape(coarse.size[1], coarse.size[0]) for k in range(int(coarse.size[2]))]
     )
@@ -109,7 +109,7 @@ def _fields(shape: Shape, grid: _Grid) -> tuple[FloatArray, FloatArray]:
     return inside, valve
 
 
-def _ventricle(shape: Shape, grid: _Grid, valve: FloatArray) -> NDArray[np.bool_]:
+def ventricle(shape: Shape, grid: Grid, valve: FloatArray) -> NDArray[np.bool_]:
     """Half an ellipsoid that stands on the valve's opening."""
     cut = next(c for c in shape.cuts() if c.label == PLANES["mv"])
     radius = shape.tubes["mv"].radius_end * shape.scale
@@ -122,7 +122,7 @@ def _ventricle(shape: Shape, grid: _Grid, valve: FloatArray) -> NDArray[np.bool_
     return out
 
 
-def _fat(shape: Shape, grid: _Grid, inside: FloatArray, thickness: float) -> tuple[FloatArray, float]:
+def _fat(shape: Shape, grid: Grid, inside: FloatArray, thickness: float) -> tuple[FloatArray, float]:
     """Share of fat per voxel (from 3 x 3 x 3 samples of the interpolated distance), and its volume within reach of the blood, mL.
 
     Fat lies on the wall's outside in pads of up to 6 mm with steep sides, and nowhere near the valve.
@@ -146,7 +146,7 @@ def _fat(shape: Shape, grid: _Grid, inside: FloatArray, thickness: float) -> tup
     return share, reached / 27.0 * float(np.prod(grid.spacing)) / 1000.0
 
 
-def _bias(inside: FloatArray, grid: _Grid) -> FloatArray:
+def _bias(inside: FloatArray, grid: Grid) -> FloatArray:
     """True distance to the blood's surface less the shape's own measure of it, near FAT_REACH_MM (elsewhere 0), mm.
 
     The shape's measure is a distance only near the surface: between vessels that blend it falls short by up to a millimetre.

@@ -6,7 +6,7 @@ import numpy as np
 
 from lacli.base.arrays import FloatArray
 from lacli.contracts.bundle import Bundle
-from lacli.mechanics import inputs
+from lacli.contracts.case import as_order
 from lacli.verification import meshes
 from lacli.verification.equilibria import on_planes
 from lacli.verification.laws import OFFSETS, difference
@@ -65,7 +65,7 @@ def patch() -> list[Check]:
     checks = []
     # curved cells have integrands of degree 3: 4 points are exact on straight cells alone
     straight, curved = distorted_box(False), distorted_box(True)
-    linear = inputs.as_order(straight, 1)
+    linear = as_order(straight, 1)
     for name, bundle, points in (("straight_cells", straight, 4), ("curved_cells", curved, 14), ("linear_cells", linear, 4)):
         tissue = TISSUE if bundle.order == 2 else STEADIED
         x, nv = bundle.points @ affine.T, len(vertices(bundle))

@@ -16,8 +16,8 @@ from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import SimulationError
 from lacli.contracts.bundle import Bundle
 from lacli.freefem import program as freefem
-from lacli.mechanics import inputs
-from lacli.mechanics.deck import render_template
+from lacli.freefem.files import CELL_ORDER, FACE_ORDER, write_arrays, write_medit
+from lacli.freefem.template import render_template
 from lacli.mechanics.engine import plugin
 
 TIMEOUT_S = 1800.0
@@ -120,12 +120,12 @@ def solve(setup: Setup) -> Solution:
     with tempfile.TemporaryDirectory(prefix="lacli-verify-") as name:
         folder = Path(name)
         _write_mesh(setup.bundle, setup.material, folder)
-        inputs.write_arrays(folder / "held.txt", *setup.held)
+        write_arrays(folder / "held.txt", *setup.held)
         if setup.loaded:
             _write_faces(setup.bundle, np.isin(setup.bundle.tags, setup.loaded), folder / "pressure.txt")
         for array, file in ((setup.start, "start.txt"), (setup.at, "at.txt")):
             if array is not None:
-                inputs.write_arrays(folder / file, array.T)
+                write_arrays(folder / file, array.T)
         choices = {key: value for key, value in vars(setup).items() if isinstance(value, (bool, int, float))}
         choices |= {
             "order": setup.bundle.order,
@@ -199,7 +199,7 @@ def ask(
         zero, none = np.zeros((n, 3)), np.zeros(nv)
         states = [np.concatenate([f.x.T.ravel(), f.p]) for f in forms]
         directions = [np.concatenate([(zero if f.v is None else f.v).T.ravel(), none if f.dp is None else f.dp]) for f in forms]
-        inputs.write_arrays(
+        write_arrays(
             folder / "forms.txt",
             np.array(settings),
             np.array(states),
@@ -222,7 +222,7 @@ def respond(materials: FloatArray, F: FloatArray, p: FloatArray) -> tuple[FloatA
     (k, 11) materials (with the fibre) at deformation gradients F (k, 3, 3) and pressures p (k,), tension positive."""
     with tempfile.TemporaryDirectory(prefix="lacli-verify-") as name:
         folder = Path(name)
-        inputs.write_arrays(folder / "law.txt", materials, np.column_stack([F.reshape(-1, 9), p]))
+        write_arrays(folder / "law.txt", materials, np.column_stack([F.reshape(-1, 9), p]))
         outcome = _run("verification_law.edp.j2", folder)
         table = np.loadtxt(folder / "response.txt").reshape(len(F), 118)
     return (
@@ -235,16 +235,16 @@ def respond(materials: FloatArray, F: FloatArray, p: FloatArray) -> tuple[FloatA
 
 
 def _write_mesh(bundle: Bundle, materials: FloatArray, folder: Path) -> None:
-    inputs.write_mesh(bundle, folder / "wall.mesh")
-    inputs.write_arrays(folder / "cells.txt", bundle.tets[:, inputs.CELL_ORDER] if bundle.order == 2 else bundle.tets)
-    inputs.write_arrays(folder / "points.txt", bundle.points.T)
-    inputs.write_arrays(folder / "materials.txt", np.broadcast_to(materials, (len(bundle.tets), 12)))
+    write_medit(folder / "wall.mesh", bundle.points, bundle.tets, bundle.region, bundle.triangles, bundle.tags)
+    write_arrays(folder / "cells.txt", bundle.tets[:, CELL_ORDER] if bundle.order == 2 else bundle.tets)
+    write_arrays(folder / "points.txt", bundle.points.T)
+    write_arrays(folder / "materials.txt", np.broadcast_to(materials, (len(bundle.tets), 12)))
 
 
 def _write_faces(bundle: Bundle, keep: NDArray[np.bool_], file: Path, weight: FloatArray | None = None) -> None:
     count = 3 * int(keep.sum())
-    faces = bundle.triangles[keep][:, inputs.FACE_ORDER] if bundle.order == 2 else bundle.triangles[keep]
-    inputs.write_arrays(file, faces, np.ones(count) if weight is None else weight)
+    faces = bundle.triangles[keep][:, FACE_ORDER] if bundle.order == 2 else bundle.triangles[keep]
+    write_arrays(file, faces, np.ones(count) if weight is None else weight)
 
 
 def _run(template: str, folder: Path, **choices: Any) -> freefem.Outcome:

@@ -68,7 +68,7 @@ def test_signed_distance_to_a_ball() -> None:
 
 def test_the_truth_counts_by_distance_not_by_the_shape_s_own_measure() -> None:
     # a measure that is nine tenths of the distance to a ball of 12 mm: where it says 4.5 mm it is 5 mm
-    grid = synthetic_image._Grid(np.full(3, -20.0), np.ones(3), np.full(3, 41))
+    grid = synthetic_image.Grid(np.full(3, -20.0), np.ones(3), np.full(3, 41))
     radius = np.linalg.norm(np.stack([grid.points(k) for k in range(41)]), axis=2).reshape(41, 41, 41)
     measure = 0.9 * (radius - 12.0)
     bias = synthetic_image._bias(measure, grid)

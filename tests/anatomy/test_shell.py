@@ -11,12 +11,13 @@ from lacli.base.errors import AnatomyError
 from lacli.contracts.bundle import check
 from lacli.contracts.labels import ENDO, EPI, OTHER
 from lacli.geometry import tetrahedra as cells
+from lacli.geometry.quadrature import enclosed_volume_ml
 from lacli.geometry.surface import Surface, defects
 
 
 def volume_between(bundle: object) -> float:
     """Wall volume, mL: of the whole boundary, whose normals look out of the material."""
-    return cells.enclosed_volume_ml(bundle.points, bundle.triangles)  # type: ignore[attr-defined]
+    return enclosed_volume_ml(bundle.triangles, bundle.points)  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(("thickness", "size"), [(2.0, 4.0), (0.7, 8.0), (5.0, 4.0), (2.0, 2.0)])

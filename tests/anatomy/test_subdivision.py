@@ -8,8 +8,8 @@ from shapes import icosphere
 
 from lacli.base.errors import AnatomyError
 from lacli.geometry import curves as paths
+from lacli.geometry.quadrature import enclosed_volume_ml
 from lacli.geometry.subdivision import straight, subdivide
-from lacli.geometry.tetrahedra import enclosed_volume_ml
 from lacli.geometry.triangles import area_normals
 
 RADIUS = 20.0
@@ -71,13 +71,13 @@ def test_points_lie_on_the_curved_faces() -> None:
     points, faces = ball(6)
     fine = [subdivide(points, faces, k) for k in (2, 4, 8, 16)]
     areas = [area(f.points, f.triangles) for f in fine]
-    volumes = [enclosed_volume_ml(f.points, f.triangles) for f in fine]
+    volumes = [enclosed_volume_ml(f.triangles, f.points) for f in fine]
     # flat triangles miss a share that falls with their size squared
     for values in (areas, volumes):
         assert (values[1] - values[0]) / (values[2] - values[1]) == pytest.approx(4.0, rel=0.05)
         assert (values[2] - values[1]) / (values[3] - values[2]) == pytest.approx(4.0, rel=0.02)
     # the limits: the curved faces' own volume, integrated exactly, and their area, 0.14 % below the sphere's
-    assert volumes[3] + (volumes[3] - volumes[2]) / 3.0 == pytest.approx(enclosed_volume_ml(points, faces), rel=1e-6)
+    assert volumes[3] + (volumes[3] - volumes[2]) / 3.0 == pytest.approx(enclosed_volume_ml(faces, points), rel=1e-6)
     assert areas[3] + (areas[3] - areas[2]) / 3.0 == pytest.approx(4.0 * np.pi * RADIUS**2, rel=2e-3)
     flat = subdivide(*ball(3), 4)
     assert area(flat.points, flat.triangles) == pytest.approx(area(*ball(3)), rel=1e-12)

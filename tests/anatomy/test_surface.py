@@ -10,8 +10,9 @@ from shapes import icosphere
 
 from lacli.base.errors import AnatomyError
 from lacli.geometry.prisms import shorter_diagonals, split_prisms
+from lacli.geometry.quadrature import enclosed_volume_ml
 from lacli.geometry.surface import Surface, check, defects, unique_edges
-from lacli.geometry.tetrahedra import boundary_faces, curved_jacobian, elevate, enclosed_volume_ml, scaled_jacobian, volumes
+from lacli.geometry.tetrahedra import boundary_faces, curved_jacobian, elevate, scaled_jacobian, volumes
 
 CORNER = np.array([[0.0, 0, 0], [10, 0, 0], [0, 10, 0], [0, 0, 10]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
@@ -49,12 +50,12 @@ def test_bad_surfaces_are_named(changes: dict[str, object], words: str) -> None:
 def test_a_bent_edge_adds_a_third_of_area_times_height(height: float, axis: int) -> None:
     """The edge's shape function 4 l0 l1 has the mean 1/3 over a triangle, and moving it along one line is linear in volume."""
     points, tets, triangles = elevate(CORNER, np.array([[0, 1, 2, 3]]), FACES)
-    assert enclosed_volume_ml(points, triangles) == pytest.approx(1 / 6, rel=1e-12)
+    assert enclosed_volume_ml(triangles, points) == pytest.approx(1 / 6, rel=1e-12)
     middle = tets[0, 4]  # of the edge along x, between the faces z = 0 and y = 0 (normals -z and -y, 50 mm2 each)
     moved = points.copy()
     moved[middle, axis] += height
     expected = {0: 0.0, 1: -height * 50 / 3, 2: -height * 50 / 3}[axis]
-    assert 1000 * enclosed_volume_ml(moved, triangles) == pytest.approx(1000 / 6 + expected, abs=1e-9)
+    assert 1000 * enclosed_volume_ml(triangles, moved) == pytest.approx(1000 / 6 + expected, abs=1e-9)
 
 
 def test_curved_triangles_carry_a_sphere_to_fourth_order() -> None:
@@ -66,7 +67,7 @@ def test_curved_triangles_carry_a_sphere_to_fourth_order() -> None:
         middle = sphere.points[edges].mean(axis=1)
         middle *= 20.0 / np.linalg.norm(middle, axis=1, keepdims=True)
         six = np.column_stack([sphere.triangles, len(sphere.points) + of_triangle])
-        errors.append(abs(enclosed_volume_ml(np.vstack([sphere.points, middle]), six) / exact - 1))
+        errors.append(abs(enclosed_volume_ml(six, np.vstack([sphere.points, middle])) / exact - 1))
     assert errors[1] < 1e-4
     assert errors[0] / errors[1] > 12  # 2^4 in the limit
 

@@ -54,14 +54,14 @@ def run_scene(scene: Scene, root: Path, on_progress: Callable[[Any], None] | Non
 
 @pytest.fixture
 def scene_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    simulation, deck = ModuleType("lacli.mechanics.simulation"), ModuleType("lacli.mechanics.deck")
+    simulation, plan = ModuleType("lacli.mechanics.simulation"), ModuleType("lacli.mechanics.plan")
     simulation.run_scene = run_scene  # type: ignore[attr-defined]
-    deck.describe = lambda scene, bundle: [  # type: ignore[attr-defined]
+    plan.describe = lambda scene, bundle: [  # type: ignore[attr-defined]
         ("unloading", True, "loads.edp_mmhg is 8"),
         ("pericardium", False, "k_peri is 0"),
     ]
     monkeypatch.setitem(sys.modules, "lacli.mechanics.simulation", simulation)
-    monkeypatch.setitem(sys.modules, "lacli.mechanics.deck", deck)
+    monkeypatch.setitem(sys.modules, "lacli.mechanics.plan", plan)
     save(hollow_cube(), tmp_path / "la")
     file = tmp_path / "scene.toml"
     file.write_text('[anatomy]\nbundle = "la"\n')

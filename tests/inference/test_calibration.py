@@ -21,7 +21,7 @@ from lacli.calibration.synthetic_truth import targets_at, verify
 from lacli.contracts.targets import Targets
 from lacli.inference import posterior as mcmc
 from lacli.inference.box import make_box
-from lacli.inference.runs import Outcome, RunLog
+from lacli.inference.runs import Outcome, RunLog, runs_identity
 
 BOX = make_box(["a", "b", "c"], [0.2, 0.2, 0.0], [4.0, 4.0, 1.0])
 NAMES = ("v_ml", "d_one_mm", "d_two_mm")
@@ -39,6 +39,9 @@ class Simulator:
 
     def __init__(self, limit=10**9, fails=lambda x: np.zeros(len(x), bool), seed=0):
         self.count, self.limit, self.fails, self.seed = 0, limit, fails, seed
+
+    def determined_by(self, inputs):
+        return {"of": "three inputs"}
 
     def __call__(self, inputs):
         x = inputs.to_numpy(float)
@@ -58,7 +61,8 @@ def targets(displacement=0.05, volume=0.01):
 
 
 def run(folder, simulator, settings=SETTINGS, goal=None):
-    return calibrate(simulator, BOX, goal or targets(), settings, folder, RunLog(folder / "runs.csv", BOX.names, NAMES))
+    log = RunLog(folder / "runs.csv", BOX.names, NAMES, runs_identity(simulator, BOX.names, NAMES))
+    return calibrate(simulator, BOX, goal or targets(), settings, folder, log)
 
 
 @pytest.fixture(scope="module")
@@ -156,7 +160,7 @@ def test_targets_that_nothing_reaches(tmp_path):
 
 
 def test_a_folder_holds_one_calibration(whole, tmp_path):
-    with pytest.raises(UsageError, match="other targets, box or settings"):
+    with pytest.raises(UsageError, match=r"a calibration made from something else: targets\.sd\.d_one_mm was 0\.05, is 0\.2"):
         run(whole[0], Simulator(), goal=targets(0.2))
 
 
@@ -187,7 +191,7 @@ def test_runs_done_elsewhere(tmp_path):
     x = design(BOX, 60)
     frame = pd.DataFrame(np.c_[x, function(x)], columns=[*BOX.names, *NAMES])
     frame.to_csv(tmp_path / "table.csv", index=False)
-    log = RunLog(tmp_path / "table.csv", BOX.names, NAMES)
+    log = RunLog(tmp_path / "table.csv", BOX.names, NAMES, None)
     result = calibrate(None, BOX, targets(), SETTINGS, tmp_path / "out", log, given=x)
     assert len(result.waves) == 1 and result.stopped == "runs from a table" and result.rmse_mm is None
     for row, truth in zip(result.table, TRUTH, strict=True):
@@ -207,7 +211,7 @@ def test_known_discretisation_errors_reach_emulator_and_likelihood(tmp_path):
     frame = pd.DataFrame(np.c_[x, function(x)], columns=[*BOX.names, *NAMES])
     frame["d_two_mm_discretisation_error"] = 0.3
     frame.to_csv(tmp_path / "table.csv", index=False)
-    log = RunLog(tmp_path / "table.csv", BOX.names, NAMES)
+    log = RunLog(tmp_path / "table.csv", BOX.names, NAMES, None)
     result = calibrate(None, BOX, targets(), SETTINGS, tmp_path / "out", log, given=x)
     assert result.emulators.error_sd == pytest.approx([0.0, 0.0, 0.3])
     # d_two alone tells b = 4 / (d_two - c / 2) = 4 / 2 at the truth: db = 4 / 2^2 * 0.3 = 0.3 at least

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from lacli.base.errors import InputError, LacliError, StorageError, TableError, UsageError
 from lacli.cli.main import build
+from lacli.contracts.scene import dump_scene
 from lacli.inference.runs import Outcome
 
 with warnings.catch_warnings():
@@ -219,26 +220,31 @@ def test_a_design_that_was_looked_at_first_is_run(tmp_path, monkeypatch):
     """The points alone are written where the runs will be: they are no finished runs."""
     asked = []
 
-    def simulator(*_):
-        def run(inputs):
+    class Simulator:
+        def determined_by(self, inputs):
+            return {}
+
+        def __call__(self, inputs):
             asked.append(len(inputs))
             yield from ((i, Outcome({"esv_ml": 90.0})) for i in range(len(inputs)))
 
-        return run
-
-    monkeypatch.setattr("lacli.calibration.simulator.simulator", simulator)
+    (tmp_path / "scene.toml").write_text('[anatomy]\nbundle = "la"\n')
+    monkeypatch.setattr("lacli.calibration.simulator.simulator", lambda *_: Simulator())
     call("design", "-n", 4, "--out", tmp_path / "d.csv")
     for _ in range(2):  # the second time all are known
-        result = document("design", "scene.toml", "-n", 4, "--run", "--out", tmp_path / "d.csv")
+        result = document("design", tmp_path / "scene.toml", "-n", 4, "--run", "--out", tmp_path / "d.csv")
         assert asked == [4] and result["failed"] == 0
         frame = pd.read_csv(tmp_path / "d.csv")
         assert (frame["status"] == "done").all() and (frame["esv_ml"] == 90).all()
 
 
-def test_runs_are_not_added_to_a_table_of_something_else(tmp_path):
+def test_runs_are_not_added_to_a_table_of_something_else(tmp_path, scene_of):
     (tmp_path / "other.csv").write_text("price,sort\n1,2\n")
-    with pytest.raises(TableError, match=r"other\.csv: .* no column alpha_anterior.* another --out"):
-        call("design", "-n", 4, "--run", "scene.toml", "--out", tmp_path / "other.csv")
+    (tmp_path / "scene.toml").write_text(dump_scene(scene_of()))
+    with pytest.raises(UsageError, match=r"other\.csv holds .* no column alpha_anterior.* another --out"):
+        call("design", "-n", 4, "--run", tmp_path / "scene.toml", "--out", tmp_path / "other.csv")
+    with pytest.raises(UsageError, match=r"other\.csv holds 1 rows with price, sort"):
+        call("design", "-n", 4, "--out", tmp_path / "other.csv")
     assert (tmp_path / "other.csv").read_text() == "price,sort\n1,2\n"
 
 

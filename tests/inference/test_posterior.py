@@ -8,7 +8,7 @@ import pytest
 from exact import ExactEmulators
 from scipy import stats
 
-from lacli.base.errors import InputError
+from lacli.base.errors import InputError, UsageError
 from lacli.contracts.targets import Targets
 from lacli.inference import posterior as mcmc
 from lacli.inference.arviz_file import write_inference_data
@@ -135,7 +135,7 @@ def test_a_longer_run_continues_a_shorter_one(tmp_path):
     continued = mcmc.sample_posterior(banana(), mcmc.Settings(ess=1e9, max_steps=300, seed=3), previous=back)
     assert np.array_equal(continued.samples, whole.samples) and np.array_equal(continued.log_prob, whole.log_prob)
     assert not whole.converged  # the cap is said plainly
-    with pytest.raises(InputError, match="other emulators, targets, region or seed"):
+    with pytest.raises(UsageError, match=r"holds a chain made from something else: .*"):
         mcmc.sample_posterior(banana(), mcmc.Settings(seed=4), previous=back)
     (tmp_path / "c.npz").write_bytes(b"no chain")
     with pytest.raises(InputError, match="damaged"):

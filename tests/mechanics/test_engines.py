@@ -16,6 +16,7 @@ from lacli.base import resources
 from lacli.base.errors import SolverMissingError
 from lacli.contracts import bundle as bundles
 from lacli.contracts.bundle import Bundle
+from lacli.contracts.case import Case, as_order
 from lacli.contracts.labels import EPI, RINGS
 from lacli.contracts.scene import Scene, build_scene
 from lacli.freefem import program as freefem
@@ -123,9 +124,9 @@ def scene(folder: Path, *overrides: str) -> Scene:
 def disturbed(ball: Bundle, folder: Path, place: Path, order: int, points: int, chosen: str) -> NDArray[np.float64]:
     """What ``DISTURBED`` writes with one of the engines."""
     settings = scene(folder, f"numerics.order={order}", "materials.plane_c_kpa=3")
-    work = inputs.as_order(ball, order)
+    work = as_order(ball, order)
     motion = scene_motion(settings, work)
-    inputs.write_inputs(work, settings, plan.make_plan(settings, work, motion), motion, place)
+    inputs.write_inputs(Case(settings, work, motion, plan.make_plan(settings, work, motion)), place)
     load = f'load "{engine.plugin().with_suffix("")}"' if chosen == "plugin" else ""
     text = DISTURBED.replace("LOAD", load).replace("PORDER", f"P{order}").replace("POINTS", str(points))
     script = place / f"{chosen}.edp"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,15 +10,17 @@ import numpy as np
 import pytest
 from shapes import cut_ball
 
+from lacli.anatomy.surface_features import cavity_volume_ml, displacements_mm
 from lacli.anatomy.wall.shell import mesh_shell
-from lacli.base.errors import AnatomyError, SceneError
+from lacli.base.errors import AnatomyError, InputError, SceneError, SimulationError, StorageError, UsageError
 from lacli.contracts import bundle as bundles
 from lacli.contracts.bundle import Bundle
+from lacli.contracts.case import Case, as_order
 from lacli.contracts.motion import save_motion
 from lacli.contracts.scene import Scene, build_scene
 from lacli.freefem import program as freefem
-from lacli.mechanics import deck, engine, inputs, plan, simulation
-from lacli.mechanics.features import cavity_volume_ml, displacements_mm, regional_extras
+from lacli.mechanics import deck, inputs, plan, simulation
+from lacli.mechanics.features import regional_extras
 from lacli.motion.annulus import scene_motion
 from lacli.synthetic.atrium import synthesize
 
@@ -81,16 +84,13 @@ def test_units_are_converted_once(folder: Path, ball: Bundle) -> None:
 
 def test_a_term_left_out_equals_a_term_of_zero(folder: Path, ball: Bundle, tmp_path: Path) -> None:
     chosen = scene(folder)
-    work = inputs.as_order(ball, 1)
+    work = as_order(ball, 1)
     without = plan.make_plan(chosen, work, None)
     volumes = []
     for name, terms in (("without", without), ("zero", replace(without, pericardium=True))):
         place = tmp_path / name
         place.mkdir()
-        inputs.write_inputs(work, chosen, terms, None, place)
-        (place / "deck.edp").write_text(deck.render(chosen, terms, engine.plugin()))
-        solvers = simulation.resources.folder("solvers") / "freefem"
-        outcome = freefem.run(freefem.find(), place / "deck.edp", place, 120, includes=(solvers,))
+        outcome = deck.run(deck.write(Case(chosen, work, None, terms), place), 120)
         assert outcome.done, outcome.message
         table = np.loadtxt(place / "es.txt")
         volumes.append((cavity_volume_ml(work, table[:, :3]), table[:, :3]))
@@ -221,7 +221,35 @@ def test_pericardium_weight_is_zero_at_the_valve_and_one_on_the_roof(folder: Pat
 
 
 def test_a_linear_bundle_refuses_quadratic_numerics(ball: Bundle) -> None:
-    linear = inputs.as_order(ball, 1)
+    linear = as_order(ball, 1)
     assert linear.tets.shape[1] == 4 and linear.tets.max() == len(linear.points) - 1
     with pytest.raises(AnatomyError, match=r"numerics\.order"):
-        inputs.as_order(linear, 2)
+        as_order(linear, 2)
+
+
+def test_a_deck_written_to_be_run_by_hand_gives_the_same_features(folder: Path, tmp_path: Path) -> None:
+    chosen = scene(folder)
+    whole = simulation.run_scene(chosen, tmp_path / "runs")
+    script = simulation.write_by_hand(chosen, tmp_path / "by hand")
+    with pytest.raises(SimulationError, match="history"):
+        simulation.read_by_hand(tmp_path / "by hand")  # it has not run
+    subprocess.run([str(script)], check=True, capture_output=True, timeout=120)
+    features = simulation.read_by_hand(tmp_path / "by hand")
+    assert features == {name: value for name, value in whole.features.items() if name not in ("cpu_s", "peak_memory_mb")}
+    assert (tmp_path / "by hand" / "transients.csv").is_file()
+    with pytest.raises(StorageError, match="not empty"):
+        simulation.write_by_hand(chosen, tmp_path / "by hand")
+
+
+def test_a_stored_run_is_run_again_and_stays(folder: Path, tmp_path: Path) -> None:
+    whole = simulation.run_scene(scene(folder), tmp_path)
+    before, after = simulation.rerun(whole.folder)
+    assert before == whole.features
+    assert after["esv_ml"] == before["esv_ml"]
+    assert [path.name for path in tmp_path.iterdir() if not path.name.startswith(".locks")] == [whole.key]
+    text = (whole.folder / "scene.toml").read_text()
+    (whole.folder / "scene.toml").write_text(text.replace("esp_mmhg = 6", "esp_mmhg = 7"))
+    with pytest.raises(UsageError, match="no longer"):
+        simulation.rerun(whole.folder)
+    with pytest.raises(InputError, match="no run"):
+        simulation.rerun(tmp_path)

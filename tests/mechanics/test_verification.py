@@ -122,7 +122,7 @@ def test_unknown_name() -> None:
         verification.choose(["beem"])
 
 
-@pytest.mark.parametrize("name", ["law", "patch", "pressure", "spring", "sphere", "beam", "ellipsoid"])
+@pytest.mark.parametrize("name", ["law", "patch", "pressure", "spring", "sphere", "beam", "ellipsoid", "prestrain"])
 def test_problem(freefem: FreeFem, name: str) -> None:
     checks = verification.verify(name)
     assert len(checks) >= 2
@@ -216,6 +216,10 @@ SLIPS = {
         ("(d2[b] * c1[i][j] - d1[b] * c2[i][j])", "(d2[b] * c1[i][j] + d1[b] * c2[i][j])", "pressure"),
         ("s.area += w * area;", "s.area += w * area, k *= 1.0001;", "spring"),
         ("&& un <= 0", "&& un < -1e9", "spring"),
+    ],
+    "prestrain.hpp": [
+        ("w0 * L[c] * g[b][i] * (1.0 - gap)", "w0 * L[c] * g[b][i] * (1.0 - 0.99 * gap)", "prestrain"),
+        ("+= m * p[d] * g[b][i]", "+= 0.99 * m * p[d] * g[b][i]", "prestrain"),
     ],
 }
 

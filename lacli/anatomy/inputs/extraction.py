@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from lacli.anatomy.inputs.image import Image
+from lacli.anatomy.inputs.image import Image, length_unit
 from lacli.base.arrays import BoolArray, IntArray
 from lacli.base.errors import AnatomyError
 from lacli.geometry.surface import Surface
+
+LEAST_ML, MOST_ML = 5.0, 1000.0  # of a left atrium with its veins
+VEIN_MM = 25.0
 
 
 @dataclass(frozen=True)
@@ -25,18 +29,19 @@ class Pool:
 def blood_pool(labels: Image, label: int, margin_mm: float = 8.0) -> Pool:
     """One connected, hole-free set of voxels of ``label``, cropped with a margin.
 
-    Small islands are dropped and closed holes filled (said in the notes). Raises AnatomyError where the label is absent,
-    too small for an atrium (< 5 mL), or falls in two large parts (the second > 10 % of the first).
+    Small islands are dropped and closed holes filled; that, where the image cuts the label off, and what is doubtful in the
+    image's header is said in the notes. Raises AnatomyError where the label is absent, too small or large for an atrium
+    (LEAST_ML, MOST_ML), or falls in two large parts (the second > 10 % of the first).
     """
     where = labels.array == label
     if not where.any():
         raise AnatomyError(f"label {label} has no voxel in the image.")
+    check_volume(float(where.sum()) * labels.voxel_ml, f"label {label}")
     low, high = _bounds(where)
-    margin = np.ceil(margin_mm / labels.spacing).astype(int)
-    mask = labels.with_array(where).crop(low - margin, high + margin)
-    parts, count = ndimage.label(mask.array)
-    notes = []
-    array = mask.array
+    box = labels.with_array(where).crop(low, high)
+    notes = labels.doubts(labels.to_world(0.5 * (low + high - 1)[None])[0])
+    array = box.array
+    parts, count = ndimage.label(array)
     if count > 1:
         size = np.bincount(parts.ravel())[1:]
         order = np.argsort(size)[::-1]
@@ -48,13 +53,62 @@ def blood_pool(labels: Image, label: int, margin_mm: float = 8.0) -> Pool:
             )
         array = parts == order[0] + 1
         notes.append(f"{count - 1} islands of together {size[order[1:]].sum() * labels.voxel_ml:.3g} mL were dropped")
+    notes += border_notes(box.with_array(array), low == 0, high == np.array(where.shape[::-1]), f"label {label}")
     filled = ndimage.binary_fill_holes(array)
     if filled.sum() > array.sum():
         notes.append(f"closed holes of {(filled.sum() - array.sum()) * labels.voxel_ml:.3g} mL were filled")
-    volume = filled.sum() * labels.voxel_ml
-    if volume < 5.0:
-        raise AnatomyError(f"label {label} has {volume:.3g} mL, too little for a left atrium; is it the right label?")
-    return Pool(mask.with_array(filled), tuple(notes))
+    check_volume(float(filled.sum()) * labels.voxel_ml, f"label {label}")
+    margin = np.ceil(margin_mm / labels.spacing).astype(int)
+    return Pool(box.with_array(filled).crop(-margin, high - low + margin), tuple(notes))
+
+
+def check_volume(volume_ml: float, what: str) -> None:
+    """Raise AnatomyError where a volume is no left atrium's; the message names the unit it is one in."""
+    if LEAST_ML <= volume_ml <= MOST_ML:
+        return
+    words = f"{what} has {volume_ml:.3g} mL, too {'little' if volume_ml < LEAST_ML else 'much'} for a left atrium"
+    raise AnatomyError(f"{words}; is it the right label{length_unit(volume_ml, 20.0, 600.0, power=3) or '?'}.".replace("?.", "?"))
+
+
+def border_notes(mask: Image, at_low: BoolArray, at_high: BoolArray, what: str) -> list[str]:
+    """Where the image's border cuts the mask off: side, voxels, area; the body apart from veins, which may leave the image.
+
+    ``at_low``, ``at_high`` (3,): whether the mask's grid ends where the image does, at the low and high end of i, j, k. A cut
+    wider than a vein (VEIN_MM across at its widest) is the body's.
+    """
+    notes = []
+    for axis, high in itertools.product(range(3), (False, True)):
+        face = np.take(mask.array, -1 if high else 0, axis=2 - axis)
+        if not (at_high if high else at_low)[axis] or not face.any():
+            continue
+        steps = np.delete(mask.spacing, axis)[::-1]
+        parts, count = ndimage.label(face)
+        width = 2.0 * np.asarray(ndimage.maximum(_depth(face, steps), parts, range(1, count + 1)))
+        size = np.bincount(parts.ravel(), minlength=count + 1)[1:]
+        side = f"{_side(mask.direction[:, axis] * (1 if high else -1))} border (the {'last' if high else 'first'} {'ijk'[axis]})"
+        for wide, words in (
+            (True, "the atrium may be cut: {what} touches the image's {side} with {area}, wider than a vein; the cut is taken for "
+                   "wall, so that volume and shape are wrong there"),
+            (False, "{what} leaves the image through its {side} with {area}, nowhere wider than a vein"),
+        ):  # fmt: skip
+            if voxels := int(size[(width > VEIN_MM) == wide].sum()):
+                area = f"{voxels} voxels, {voxels * np.prod(steps) / 100.0:.3g} cm2"
+                notes.append(words.format(what=what, side=side, area=area))
+    return notes
+
+
+def _depth(face: BoolArray, steps: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distance to the edge of the cut, mm; the grid's edge is none."""
+    if face.all():
+        return np.full(face.shape, np.inf)
+    inside = np.pad(face, 1, mode="edge")
+    return np.asarray(ndimage.distance_transform_edt(inside, sampling=steps))[1:-1, 1:-1]
+
+
+def _side(direction: NDArray[np.float64]) -> str:
+    """The patient's side an axis points to (LPS)."""
+    axis = int(np.argmax(np.abs(direction)))
+    return (("right", "left"), ("anterior", "posterior"), ("lower", "upper"))[axis][int(direction[axis] > 0)]
 
 
 def _bounds(mask: BoolArray) -> tuple[IntArray, IntArray]:

@@ -6,27 +6,39 @@ RAS affine is turned by the reader. Arrays are indexed [k, j, i] (ITK's index re
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lacli.anatomy.inputs import nifti
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import AnatomyError, InputError
 
 SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz", ".mha", ".mhd", ".hdr", ".img")
+MOST_BYTES = 1 << 30  # of voxels: 512 x 512 x 2048 of 16 bits
+LEAST_SPACING_MM, MOST_SPACING_MM = 0.02, 20.0
+MOST_TILT_DEG = 0.1  # off a right angle: what rounding in a header may do
+WHOLE = 1e-3  # a label may be off a whole number by so much: scaling in a header, and single precision
+_LENGTHS = (("metres", 1e3), ("centimetres", 10.0), ("micrometres", 1e-3))
 
 
 @dataclass(frozen=True)
 class Image:
-    """A 3-D image: array (nk, nj, ni); spacing (3,) mm along i, j, k; origin (3,) mm; direction (3, 3), its columns i, j, k."""
+    """A 3-D image: array (nk, nj, ni); spacing (3,) mm along i, j, k; origin (3,) mm; direction (3, 3), its columns i, j, k.
+
+    rival (3, 4): another index -> mm that the header holds beside the one that is used, where the two differ; else None.
+    notes: what else is doubtful in the header, in words.
+    """
 
     array: NDArray[Any]
     spacing: FloatArray
     origin: FloatArray
     direction: FloatArray
+    rival: FloatArray | None = None
+    notes: tuple[str, ...] = ()
 
     def to_world(self, index: NDArray[Any]) -> FloatArray:
         """(n, 3) continuous indices (i, j, k) -> (n, 3) mm, LPS."""
@@ -43,7 +55,22 @@ class Image:
 
     def with_array(self, array: NDArray[Any]) -> Image:
         """The same grid with other values."""
-        return Image(array, self.spacing, self.origin, self.direction)
+        return replace(self, array=array)
+
+    def doubts(self, world: FloatArray) -> list[str]:
+        """What is doubtful in the header, in words; where two transforms contradict each other, how far at ``world`` (3,) mm."""
+        if self.rival is None:
+            return list(self.notes)
+        index = self.to_index(world[None])[0]
+        away = float(np.linalg.norm(self.rival[:, :3] @ index + self.rival[:, 3] - world))
+        turn = self.direction.T @ (self.rival[:, :3] / np.linalg.norm(self.rival[:, :3], axis=0))
+        degrees = float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0))))
+        mirrored = ", and one is the mirror image of the other" if np.linalg.det(turn) < 0 else ""
+        return [
+            f"the NIfTI header holds two transforms that differ by {away:.3g} mm and {degrees:.3g} degrees at the atrium{mirrored}: "
+            "the sform is used, as the standard has it, not the qform; correct the header if the image lies in the wrong place",
+            *self.notes,
+        ]
 
     def crop(self, low: IntArray, high: IntArray) -> Image:
         """Indices (i, j, k) from ``low`` to below ``high``; beyond the image it is filled with zeros."""
@@ -51,7 +78,10 @@ class Image:
         inner_low, inner_high = np.clip(low, 0, size), np.clip(high, 0, size)
         piece = self.array[tuple(slice(a, b) for a, b in zip(inner_low[::-1], inner_high[::-1], strict=True))]
         pad = [(int(a), int(b)) for a, b in zip((inner_low - low)[::-1], (high - inner_high)[::-1], strict=True)]
-        return Image(np.pad(piece, pad), self.spacing, self.to_world(np.asarray(low)[None])[0], self.direction)
+        rival = self.rival
+        if rival is not None:
+            rival = np.column_stack([rival[:, :3], rival[:, :3] @ np.asarray(low, dtype=float) + rival[:, 3]])
+        return replace(self, array=np.pad(piece, pad), origin=self.to_world(np.asarray(low)[None])[0], rival=rival)
 
 
 def is_image(path: Path) -> bool:
@@ -62,7 +92,8 @@ def is_image(path: Path) -> bool:
 def read(path: Path) -> Image:
     """Read a 3-D scalar image.
 
-    Raises InputError where the file is missing, damaged, not 3-D, or has coordinates that are not finite.
+    Raises InputError where the file is missing, damaged, not 3-D, too large, has coordinates that are not finite, axes that are
+    not perpendicular, or voxels of no plausible size. The header is judged before memory is taken for the voxels.
     """
     import SimpleITK as sitk
 
@@ -70,38 +101,133 @@ def read(path: Path) -> Image:
         raise InputError(f"{path}: no such file.")
     if path.stat().st_size == 0:
         raise InputError(f"{path}: the file is empty; export it again.")
-    _check_nifti(path)
+    header = nifti.read_header(path) if path.name.lower().endswith(nifti.SUFFIXES) else None
+    if header is not None:
+        _check_size(path, header.shape, header.voxel_bytes)
     _check_nrrd(path)
     sitk.ProcessObject_SetGlobalWarningDisplay(False)
+    reader = sitk.ImageFileReader()
+    reader.SetFileName(str(path))
     try:
-        image = sitk.ReadImage(str(path))
-    except RuntimeError as error:
-        reason = [line.strip() for line in str(error).splitlines() if line.strip()][-1]
+        reader.ReadImageInformation()
+        _check_components(path, reader.GetNumberOfComponents())
+        _check_size(path, reader.GetSize(), _voxel_bytes(reader.GetPixelID()))
+        grid = _grid(path, header, reader)
+        image = reader.Execute()
+    except (RuntimeError, MemoryError) as error:
+        reason = [line.strip() for line in str(error).splitlines() if line.strip()][-1:] or ["out of memory"]
         raise InputError(
-            f"{path}: the image cannot be read, the file may be truncated or of another format ({reason[:200]})."
+            f"{path}: the image cannot be read, the file may be truncated or of another format ({reason[0][:200]})."
         ) from None
-    if image.GetNumberOfComponentsPerPixel() != 1:
-        raise InputError(
-            f"{path}: every voxel has {image.GetNumberOfComponentsPerPixel()} values; export one scalar label (or HU) per voxel."
-        )
-    if image.GetDimension() == 4 and image.GetSize()[3] == 1:
+    if image.GetDimension() == 4:
         image = image[:, :, :, 0]
-    if image.GetDimension() != 3:
-        raise InputError(f"{path}: the image has {image.GetDimension()} dimensions; export one 3-D frame.")
-    spacing, origin = np.array(image.GetSpacing()), np.array(image.GetOrigin())
-    direction = np.array(image.GetDirection()).reshape(3, 3)
+    array = sitk.GetArrayFromImage(image)
+    if array.dtype.kind == "f" and (bad := sum(int((~np.isfinite(slab)).sum()) for slab in array)):
+        raise InputError(f"{path}: {bad} voxels are not finite (NaN or infinite); replace them.")
+    if array.dtype.kind == "c":
+        raise InputError(f"{path}: the voxels are complex numbers; export one scalar label (or HU) per voxel.")
+    return replace(grid, array=array)
+
+
+def read_labels(path: Path) -> Image:
+    """Read a label map: whole numbers, whatever type and scaling they are stored in.
+
+    Raises InputError as ``read`` does, and AnatomyError where the values are no labels.
+    """
+    image = read(path)
+    try:
+        return image.with_array(_whole(image.array))
+    except AnatomyError as error:
+        raise AnatomyError(f"{path}: {error}") from None
+
+
+def length_unit(factors: float, low: float, high: float, power: int = 1) -> str:
+    """The unit in which a size would be within ``low`` to ``high``, as a question; empty where there is none."""
+    fitting = (unit for unit, factor in _LENGTHS if low <= factors * factor**power <= high)
+    return next((f"; are the lengths {unit}? They must be mm" for unit in fitting), "")
+
+
+def _check_components(path: Path, count: int) -> None:
+    if count != 1:
+        raise InputError(f"{path}: every voxel has {count} values; export one scalar label (or HU) per voxel.")
+
+
+def _voxel_bytes(pixel: int) -> int:
+    import SimpleITK as sitk
+
+    name = sitk.GetPixelIDValueAsString(pixel)
+    return next((int(bits) // 8 for bits in ("64", "32", "16", "8") if bits in name.split("-")[0]), 8)
+
+
+def _check_size(path: Path, shape: tuple[int, ...], voxel_bytes: int) -> None:
+    if not (len(shape) == 3 or (len(shape) > 3 and all(n == 1 for n in shape[3:]))):
+        raise InputError(f"{path}: the image has {len(shape)} dimensions ({_times(shape)}); export one 3-D frame.")
+    size = voxel_bytes
+    for n in shape:
+        size *= int(n)
+    if size > MOST_BYTES:
+        raise InputError(
+            f"{path}: {_times(shape)} voxels of {voxel_bytes} bytes are {size / 1e9:.3g} GB, more than the {MOST_BYTES / 1e9:.2g} GB "
+            "that are taken; crop the image to the heart, or resample it."
+        )
+    if min(shape[:3]) < 2:
+        raise InputError(f"{path}: the image has {_times(shape)} voxels, which is a slice; export the volume.")
+
+
+def _times(values: Any) -> str:
+    return " x ".join(f"{v:.4g}" if isinstance(v, float) else str(v) for v in values)
+
+
+def _grid(path: Path, header: nifti.Header | None, reader: Any) -> Image:
+    """An image without voxels: its place in space, checked. NIfTI's is our own reading of its header."""
+    n = len(reader.GetSize())
+    spacing, origin = np.array(reader.GetSpacing())[:3], np.array(reader.GetOrigin())[:3]
+    direction = np.array(reader.GetDirection()).reshape(n, n)[:3, :3]
+    rival, notes = None, []
+    if header is not None and (affine := header.affine) is not None:
+        spacing, origin = np.linalg.norm(affine[:, :3], axis=0), affine[:, 3]
+        direction = affine[:, :3] / np.maximum(spacing, 1e-300)
+        if header.sform is not None and header.qform is not None:
+            corners = np.array(np.meshgrid(*[(0.0, s - 1.0) for s in header.shape[:3]])).reshape(3, -1)
+            apart = (header.sform - header.qform) @ np.vstack([corners, np.ones(8)])
+            rival = header.qform if np.linalg.norm(apart, axis=0).max() > 0.1 else None
+    elif header is not None:
+        notes.append("the NIfTI header has neither qform nor sform: where left and right, front and back are is a guess")
     if not (np.isfinite(spacing).all() and np.isfinite(origin).all() and np.isfinite(direction).all()):
         raise InputError(f"{path}: the affine (spacing, origin or direction) has a value that is not finite; correct the header.")
-    if np.any(spacing <= 0) or abs(abs(np.linalg.det(direction)) - 1.0) > 0.05:
-        raise InputError(f"{path}: the affine is singular or has no voxel size (spacing {spacing.tolist()}); correct the header.")
-    array = sitk.GetArrayFromImage(image)
-    if array.dtype.kind == "f" and not np.isfinite(array).all():
-        raise InputError(f"{path}: {int((~np.isfinite(array)).sum())} voxels are not finite (NaN or infinite); replace them.")
-    return Image(array, spacing, origin, direction)
+    if np.any(spacing <= 0) or np.any(np.abs(np.linalg.norm(direction, axis=0) - 1.0) > 1e-3):
+        raise InputError(f"{path}: the affine is singular or has no voxel size (spacing {_times(spacing)}); correct the header.")
+    _check_perpendicular(path, direction)
+    _check_spacing(path, spacing, "" if header is None else header.unit)
+    return Image(np.zeros((0, 0, 0)), spacing, origin, direction, rival, tuple(notes))
+
+
+def _check_perpendicular(path: Path, direction: FloatArray) -> None:
+    pairs = ((0, 1), (0, 2), (1, 2))
+    off = [float(np.degrees(np.arcsin(min(1.0, abs(direction[:, a] @ direction[:, b]))))) for a, b in pairs]
+    worst = int(np.argmax(off))
+    if off[worst] > 89.0:
+        raise InputError(f"{path}: the affine is singular, two of the image's axes are the same; correct the header.")
+    if off[worst] > MOST_TILT_DEG:
+        first, second = ("ijk"[axis] for axis in pairs[worst])
+        raise InputError(
+            f"{path}: the image's axes are not perpendicular, {first} and {second} are {off[worst]:.1f} degrees off a right angle "
+            "(a tilted gantry, or a sheared affine); resample the image to a straight grid."
+        )
+
+
+def _check_spacing(path: Path, spacing: FloatArray, unit: str) -> None:
+    if np.all((spacing >= LEAST_SPACING_MM) & (spacing <= MOST_SPACING_MM)):
+        return
+    words = f"{path}: the voxels are {_times(spacing.tolist())} mm, which no heart's image has"
+    if unit and unit != "millimetres":
+        raise InputError(f"{words}; the header says the lengths are {unit}: correct xyzt_units.")
+    meant = length_unit(float(np.median(spacing)), 0.1, 5.0)
+    raise InputError(f"{words}{meant.replace('lengths', 'spacings')}.")
 
 
 def _check_nrrd(path: Path) -> None:
-    """The reader speaks of inconsistent coefficients where a NRRD's axes are not finite: said plainly first."""
+    """The reader speaks of inconsistent coefficients where a NRRD's axes are not finite, and knows no unit but mm: said first."""
     if not path.name.lower().endswith((".nrrd", ".nhdr")):
         return
     with path.open("rb") as stream:
@@ -110,43 +236,9 @@ def _check_nrrd(path: Path) -> None:
         key, _, value = line.partition(":")
         if key in ("space directions", "space origin", "spacings") and any(word in value for word in ("nan", "inf")):
             raise InputError(f"{path}: '{key}' in the NRRD header has a value that is not finite (NaN); correct the header.")
-
-
-def _check_nifti(path: Path) -> None:
-    """ITK replaces a broken NIfTI affine by a guess, and missing voxels by zeros, without a word: the file is looked at first."""
-    import gzip
-    import struct
-    import zlib
-
-    if not path.name.lower().endswith((".nii", ".nii.gz")):
-        return
-    try:
-        content = path.read_bytes()
-        if path.name.lower().endswith(".gz"):
-            content = gzip.decompress(content)
-    except (OSError, EOFError, zlib.error) as error:
-        raise InputError(f"{path}: the file is truncated, or not compressed as its name says ({error}).") from None
-    if len(content) < 348:
-        raise InputError(f"{path}: the file is truncated, its header has {len(content)} bytes of 348.")
-    order = "<" if struct.unpack("<i", content[:4])[0] == 348 else ">"
-    if struct.unpack(order + "i", content[:4])[0] != 348:
-        return  # NIfTI-2 or not NIfTI: the reader tells
-    dimensions = struct.unpack(order + "8h", content[40:56])
-    bits = struct.unpack(order + "h", content[72:74])[0]
-    offset = struct.unpack(order + "f", content[108:112])[0]
-    if 1 <= dimensions[0] <= 7 and np.isfinite(offset):
-        needed = int(offset) + int(np.prod(np.maximum(dimensions[1 : 1 + dimensions[0]], 1), dtype=np.int64)) * bits // 8
-        if content[344:347] == b"n+1" and len(content) < needed:
-            raise InputError(f"{path}: the file is truncated, it has {len(content)} bytes of {needed}.")
-    pixdim = np.array(struct.unpack(order + "4f", content[76:92]))[1:]
-    qform, sform = struct.unpack(order + "2h", content[252:256])
-    used = [pixdim]
-    if qform > 0:
-        used.append(np.array(struct.unpack(order + "6f", content[256:280])))
-    if sform > 0:
-        used.append(np.array(struct.unpack(order + "12f", content[280:328])))
-    if not all(np.isfinite(values).all() for values in used):
-        raise InputError(f"{path}: the affine of the NIfTI header has a value that is not finite (NaN); correct the header.")
+        units = {word.strip() for word in value.split('"')[1::2]} - {"", "mm", "millimeter", "millimeters", "millimetre"}
+        if key in ("space units", "units") and units:
+            raise InputError(f"{path}: the NRRD header says its lengths are in {', '.join(sorted(units))}; write it in mm.")
 
 
 def write(image: Image, path: Path, dtype: Any = None) -> None:
@@ -173,14 +265,24 @@ def label_volumes(image: Image) -> dict[int, float]:
 
     Raises AnatomyError where the values are no labels (fractions, or hundreds of them: a CT volume).
     """
-    array = image.array
-    if array.dtype.kind == "f":
-        if not np.array_equal(array, np.round(array)):
+    total: dict[int, int] = {}
+    for slab in _whole(image.array):
+        for value, count in zip(*np.unique(slab, return_counts=True), strict=True):
+            total[int(value)] = total.get(int(value), 0) + int(count)
+        if len(total) > 256:
+            raise AnatomyError(
+                f"the image has {len(total)} different values and more; a label map has a few (is it a CT volume?)."
+            )
+    return {label: count * image.voxel_ml for label, count in sorted(total.items()) if label != 0}
+
+
+def _whole(array: NDArray[Any]) -> NDArray[Any]:
+    """Labels as whole numbers; AnatomyError where they are none within WHOLE."""
+    if array.dtype.kind != "f":
+        return array
+    for slab in array:
+        if np.any(np.abs(slab) > 1e6) or np.any(np.abs(slab - np.round(slab)) > WHOLE):
             raise AnatomyError(
                 "the image has fractional values; a label map has whole numbers (is it a CT volume, or a probability map?)."
             )
-        array = array.astype(np.int64)
-    values, counts = np.unique(array, return_counts=True)
-    if len(values) > 256:
-        raise AnatomyError(f"the image has {len(values)} different values; a label map has a few (is it a CT volume?).")
-    return {int(v): float(c) * image.voxel_ml for v, c in zip(values, counts, strict=True) if v != 0}
+    return np.round(array).astype(np.int32)

@@ -20,9 +20,10 @@ from lacli.contracts.bundle import Bundle
 from lacli.contracts.labels import ENDO, EPI, OPENINGS, OTHER, PLANES, REGIONS
 from lacli.geometry.prisms import split_prisms
 from lacli.geometry.projection import Reference
+from lacli.geometry.quadrature import enclosed_volume_ml
 from lacli.geometry.remesh import keep_volume, remesh_on
 from lacli.geometry.surface import Surface, check, unique_edges
-from lacli.geometry.tetrahedra import TET10_EDGES, boundary_faces, curved_jacobian, edges_of, enclosed_volume_ml, scaled_jacobian
+from lacli.geometry.tetrahedra import TET10_EDGES, boundary_faces, curved_jacobian, edges_of, scaled_jacobian
 
 MIN_JACOBIAN = 0.2
 
@@ -170,7 +171,7 @@ def _describe(
     present = {name for name in OPENINGS if np.any(surface.label == PLANES[name])}
     region = np.where(label == 0, REGIONS["anterior"], label)
     cavity = triangles[(tags == ENDO) | (tags >= 21)]
-    info = {"cavity_volume_ml": -enclosed_volume_ml(points, cavity), "shell": report.__dict__}
+    info = {"cavity_volume_ml": -enclosed_volume_ml(cavity, points), "shell": report.__dict__}
     if not {"mv", "rspv", "ripv", "lspv", "lipv"} <= present:
         return Bundle(points, tets, region, triangles, tags, transmural=transmural, info=info)
     frame = frame_of(surface)

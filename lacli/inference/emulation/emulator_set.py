@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,8 @@ from lacli.base.arrays import FloatArray
 from lacli.base.errors import InputError
 from lacli.base.files import DAMAGED, replacing
 from lacli.base.threads import one_thread
+from lacli.contracts.identity import Identity, array_digest, identify
+from lacli.contracts.table import RunTable
 from lacli.inference.emulation import gp, moments
 from lacli.inference.emulation.emulator import Emulator
 from lacli.inference.emulation.scales import OutputScale
@@ -85,6 +87,11 @@ class EmulatorSet:
         t = e.low + 0.5 * (e.process.u + 1.0) * (e.high - e.low)
         t[:, e.log_inputs] = np.exp(t[:, e.log_inputs])
         return t
+
+    def content_digest(self) -> str:
+        """Digest of all that makes the emulators what they are: of what is stored."""
+        arrays = _arrays(self)
+        return array_digest(*(array for name in sorted(arrays) for array in (np.array(name), arrays[name])))
 
     def select(self, outputs: Sequence[str]) -> EmulatorSet:
         """The emulators of the named outputs, in that order."""
@@ -218,8 +225,8 @@ def _stack(emulators: Sequence[Emulator]) -> _Stack:
     )  # fmt: skip
 
 
-def save_emulators(path: Path, emulators: EmulatorSet) -> None:
-    """Write the emulators to an .npz file (numbers and names only); the file appears whole or not at all."""
+def _arrays(emulators: EmulatorSet) -> dict[str, Any]:
+    """What is stored of the emulators, and determines them."""
     arrays: dict[str, Any] = {
         "format": np.array(FORMAT), "inputs": np.array(emulators.inputs), "outputs": np.array(emulators.outputs),
     }  # fmt: skip
@@ -230,8 +237,22 @@ def save_emulators(path: Path, emulators: EmulatorSet) -> None:
             f"{i}_quality": np.array([e.inflation, e.held_out_r2, e.error_sd, e.process.objective], float),
             f"{i}_theta": e.process.theta, f"{i}_u": e.process.u, f"{i}_y": e.process.y, f"{i}_noise": e.process.noise,
         }  # fmt: skip
+    return arrays
+
+
+def save_emulators(path: Path, emulators: EmulatorSet, identity: Identity | None = None) -> None:
+    """Write the emulators to an .npz file (numbers and names only), with what they were made from (else they are used where
+    they are named, and nowhere found again); the file appears whole or not at all."""
+    arrays = _arrays(emulators)
+    if identity is not None:
+        arrays["identity"] = np.array(identity.text())
     with replacing(Path(path)) as temporary, temporary.open("wb") as stream:
         np.savez_compressed(stream, **arrays)
+
+
+def emulators_identity(table: RunTable, **options: Any) -> Identity:
+    """What determines emulators: the table's numbers and names, and how they are fitted (options by name)."""
+    return identify("emulators", runs={f.name: getattr(table, f.name) for f in fields(table) if f.name != "notes"}, **options)
 
 
 def load_emulators(path: Path) -> EmulatorSet:

@@ -8,53 +8,20 @@
 #include "ff++.hpp"
 #include "AFunction_ext.hpp"
 
-#include "prestrain.hpp"
-#include "system.hpp"
+#include "model.hpp"
+#include "sensitivities.hpp"
 
 using namespace lacli;
 
 namespace {
 
-struct Faces {
-  Surface kind;
-  std::vector<int> nodes;                    // 6 (or 3) per triangle
-  std::vector<double> weight;                // 3 per triangle
-  std::vector<int> blocks;                   // lower-triangular pairs of each triangle
-};
-
-struct Problem {
-  int nU = 0, nP = 0, nt = 0, nn = 0;
-  TetRule rule;
-  TriRule face;
-  std::vector<int> nodes, pressures;         // per cell: nn nodes, 4 pressure unknowns
-  std::vector<int> blocks;                   // per cell: nn (nn + 1) / 2
-  std::vector<CellData> cells;
-  std::vector<double> fibres;                // per cell and point, on the parameter cell
-  std::vector<Faces> faces;
-  std::vector<double> stretch;               // per cell and point: stretch before the reference (9); empty: none
-  std::vector<double> anchor;                // where springs are at rest (x | y | z); empty: in the reference X
-  double viscosity = 0;                      // kPa/mm2
-  double loads[4] = {0, 0, 0, 0};            // by Surface
-  System system;
-  Mumps mumps;
-  int ordering = 7;
-  double minJ = 0, minJX = 0, energy = 0, volume = 0;
-  int negative = 0;
-};
-
-Problem *the = nullptr;
-
-std::vector<int> ints(const KN<long> &a) {
-  std::vector<int> r(a.N());
-  for (long i = 0; i < a.N(); ++i) r[i] = (int)a[i];
-  return r;
-}
+Model *the = nullptr;
 
 // laMesh([nU, nP, cells, nodes per cell, points, ordering], nodes of cells, pressure unknowns of cells)
 long laMesh(KN<long> *const &sizes, KN<long> *const &nodes, KN<long> *const &pressures) {
   delete the;
-  the = new Problem;
-  Problem &P = *the;
+  the = new Model;
+  Model &P = *the;
   P.nU = (int)(*sizes)[0], P.nP = (int)(*sizes)[1], P.nt = (int)(*sizes)[2], P.nn = (int)(*sizes)[3];
   P.ordering = (int)(*sizes)[5];
   P.rule = tet_rule(P.nn, (int)(*sizes)[4]);
@@ -87,7 +54,7 @@ const int CELL_COLUMNS = 12;
 
 // laCells(per cell: law, C, alpha, bf, bft, bt, kappa at points, kappa on the field, fibre (3), stabilisation; X of the image)
 long laCells(KN<double> *const &table, KN<double> *const &image) {
-  Problem &P = *the;
+  Model &P = *the;
   ffassert(table->N() == (long)P.nt * CELL_COLUMNS && image->N() == 3L * P.nU);
   P.cells.resize(P.nt);
   P.fibres.assign((size_t)P.nt * P.rule.n * 3, 0.0);
@@ -113,7 +80,7 @@ long laCells(KN<double> *const &table, KN<double> *const &image) {
 
 // laPrestrain(v, X): the stretch exp(sym grad v) on the reference X from now on, springs at rest in X - v; empty v: none
 long laPrestrain(KN<double> *const &v, KN<double> *const &reference) {
-  Problem &P = *the;
+  Model &P = *the;
   P.stretch.clear(), P.anchor.clear();
   if (v->N() == 0) return 0;
   ffassert(v->N() == 3L * P.nU);
@@ -140,7 +107,7 @@ long laViscosity(double const &viscosity) {
 
 // laFaces(kind, nodes of triangles, weights of their vertices)
 long laFaces(long const &kind, KN<long> *const &nodes, KN<double> *const &weight) {
-  Problem &P = *the;
+  Model &P = *the;
   Faces f;
   f.kind = (Surface)kind, f.nodes = ints(*nodes);
   f.weight.resize(weight->N());
@@ -191,7 +158,7 @@ void scatter(System &s, int block, int na, int nb, const double *K, int la, int 
 // 4 residual of the prestrain problem, where y = (v | p) and X is the image, 5 and its tangent, which is not symmetric.
 // y = (x | y | z | p) deformed positions and pressures, X = (X | Y | Z). 0, or 1 where a cell is inverted or too far strained.
 long laAssemble(long const &mode, KN<double> *const &y, KN<double> *const &reference, KN<double> *const &residual) {
-  Problem &P = *the;
+  Model &P = *the;
   System &s = P.system;
   const bool pre = mode >= 4, sym = mode == 1;
   const Task task = mode == 0 || mode == 4 ? Task::residual : mode == 3 || mode == 5 ? Task::inverse : Task::forward;
@@ -260,13 +227,13 @@ long laAssemble(long const &mode, KN<double> *const &y, KN<double> *const &refer
 
 // laFactor(): 0, or MUMPS's error number
 long laFactor() {
-  Problem &P = *the;
+  Model &P = *the;
   return P.mumps.factor(P.system, P.ordering, P.negative);
 }
 
 // laSolve(b, x): K x = b on the free unknowns with the last factors, x = 0 on the held ones
 long laSolve(KN<double> *const &b, KN<double> *const &x) {
-  Problem &P = *the;
+  Model &P = *the;
   const long error = P.mumps.solve(P.system, &(*b)[0], &(*x)[0]);
   for (int i = 0; i < P.system.n; ++i)
     if (P.system.fixed[i]) (*x)[i] = 0.0;
@@ -282,10 +249,46 @@ long laMultiply(KN<double> *const &v, KN<double> *const &y) {
 
 // laState([min J, min det X, energy kPa mm3, cavity volume mm3, negative pivots])
 long laState(KN<double> *const &out) {
-  Problem &P = *the;
+  Model &P = *the;
   const double v[5] = {P.minJ, P.minJX, P.energy, P.volume, (double)P.negative};
   for (int i = 0; i < 5 && i < out->N(); ++i) (*out)[i] = v[i];
   return 0;
+}
+
+// laInputs(region of each cell: 0 to 4, else -1; derivatives of the pericardium's weights along its threshold): what laSlopes
+// wants to know beside the problem. 0, or 1 where there are not as many weights as the pericardium has.
+long laInputs(KN<long> *const &regions, KN<double> *const &slopeOfWeights) {
+  Model &P = *the;
+  P.regions = ints(*regions);
+  ffassert((int)P.regions.size() == P.nt);
+  long bad = 0;
+  for (Faces &set : P.faces)
+    if (set.kind == PERICARDIUM || set.kind == PERICARDIUM_OUTWARD) {
+      if (slopeOfWeights->N() != (long)set.weight.size()) bad = 1;
+      else set.slope.assign(&(*slopeOfWeights)[0], &(*slopeOfWeights)[0] + slopeOfWeights->N());
+    }
+  return bad;
+}
+
+// laSlopes(y, X, rates of the prestrain's v (empty: none), pressure's derivatives along EDP and ESP, out): derivatives of
+// laAssemble's residual along all inputs, one column after the other. 0, or 1 as laAssemble.
+long laSlopes(KN<double> *const &y, KN<double> *const &reference, KN<double> *const &rates, KN<double> *const &shares,
+              KN<double> *const &out) {
+  const long n = (long)INPUTS * the->system.n;
+  ffassert(out->N() == n && shares->N() == 2 && (rates->N() == 0 || rates->N() == n) && !the->regions.empty());
+  return slopes(*the, &(*y)[0], &(*reference)[0], rates->N() ? &(*rates)[0] : nullptr, &(*shares)[0], &(*out)[0]);
+}
+
+// laSolveAll(b, z): K z = b for all inputs' columns with the last factors
+long laSolveAll(KN<double> *const &b, KN<double> *const &z) {
+  ffassert(b->N() == (long)INPUTS * the->system.n && z->N() == b->N());
+  return solve_all(*the, &(*b)[0], &(*z)[0]);
+}
+
+// laWriteRates(file, node of each unknown, columns of all inputs): 0, or 1 where it cannot be written
+long laWriteRates(string *const &file, KN<long> *const &order, KN<double> *const &rates) {
+  ffassert(order->N() == the->nU && rates->N() == (long)INPUTS * the->system.n);
+  return write_rates(*the, file->c_str(), *order, &(*rates)[0]);
 }
 
 // laLaw(material of laCells' first eight columns and f; (F row by row, p); out: W, P (9), A (81), dP/df (27)): 0 or 1
@@ -326,6 +329,11 @@ static void Load_Init() {
   Global.Add("laSolve", "(", new OneOperator2_<long, KN<double> *, KN<double> *>(laSolve));
   Global.Add("laMultiply", "(", new OneOperator2_<long, KN<double> *, KN<double> *>(laMultiply));
   Global.Add("laState", "(", new OneOperator1_<long, KN<double> *>(laState));
+  Global.Add("laInputs", "(", new OneOperator2_<long, KN<long> *, KN<double> *>(laInputs));
+  Global.Add("laSlopes", "(",
+             new OneOperator5_<long, KN<double> *, KN<double> *, KN<double> *, KN<double> *, KN<double> *>(laSlopes));
+  Global.Add("laSolveAll", "(", new OneOperator2_<long, KN<double> *, KN<double> *>(laSolveAll));
+  Global.Add("laWriteRates", "(", new OneOperator3_<long, string *, KN<long> *, KN<double> *>(laWriteRates));
   Global.Add("laLaw", "(", new OneOperator3_<long, KN<double> *, KN<double> *, KN<double> *>(laLaw));
 }
 LOADFUNC(Load_Init)

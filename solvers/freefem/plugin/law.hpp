@@ -22,7 +22,7 @@ struct Material {
 };
 
 struct Response {
-  double energy, J, lnJ;
+  double energy, J, lnJ, Q;  // Q 0 where the law has none
   Mat P, Fit;              // first Piola stress, F^-T (= dP/dp)
   double A[9][9];          // dP_iI / dF_jJ, row 3 i + I
   double dPdf[9][3];       // dP / df, f free (not kept at unit length)
@@ -55,7 +55,7 @@ const double Q_LIMIT = 200.0;
 inline bool respond(const Material &m, const Mat F, const double f[3], double p, int level, Response &r) {
   r.J = det(F);
   if (!(r.J > 0.0) || !std::isfinite(r.J)) return false;
-  r.lnJ = std::log(r.J);
+  r.lnJ = std::log(r.J), r.Q = 0;
   Mat Fi;
   inverse(F, r.J, Fi);
   for (int i = 0; i < 3; ++i)
@@ -95,6 +95,7 @@ inline bool respond(const Material &m, const Mat F, const double f[3], double p,
   }
   const double Q = m.alpha * (m.b1 * e * e + 2.0 * m.b2 * gg + m.bt * tr2);
   if (!(Q < Q_LIMIT)) return false;
+  r.Q = Q;
   const double expQ = std::exp(Q), s = m.c * m.alpha * expQ;
   r.energy += 0.5 * m.c * std::expm1(Q);
   for (int i = 0; i < 3; ++i)

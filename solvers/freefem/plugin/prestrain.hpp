@@ -199,12 +199,15 @@ inline bool prestrain_integral(const TetRule &rule, const CellData &cell, const 
         }
     }
   }
-  if (cell.stab > 0)
+  if (cell.stab > 0)                         // linear cells: g is constant, and the unstretched volume falls as div v grows
     for (int c = 0; c < 4; ++c)
       for (int d = 0; d < 4; ++d) {
         const double m = cell.stab * (LL[c][d] - meanL[c] * meanL[d] / volume);
         s.R[4 * c + 3] -= m * p[d];
-        if (tangent) s.K[4 * c + 3][4 * d + 3] -= m;
+        if (!tangent) continue;
+        s.K[4 * c + 3][4 * d + 3] -= m;
+        for (int b = 0; b < nn; ++b)
+          for (int i = 0; i < 3; ++i) s.K[4 * c + 3][4 * b + i] += m * p[d] * g[b][i];
       }
   return true;
 }

@@ -95,11 +95,13 @@ class Mumps {
     negative = id_.infog[11];
     return id_.infog[0] < 0 ? id_.infog[0] : 0;
   }
-  int solve(const System &s, const double *b, double *x) {
-    std::copy(b, b + s.n, x);
-    for (int i = 0; i < s.n; ++i)
-      if (s.fixed[i]) x[i] = 0.0;
-    id_.rhs = x, id_.nrhs = 1, id_.lrhs = s.n;
+  // `count` right sides, one after the other
+  int solve(const System &s, const double *b, double *x, int count = 1) {
+    std::copy(b, b + (size_t)count * s.n, x);
+    for (int k = 0; k < count; ++k)
+      for (int i = 0; i < s.n; ++i)
+        if (s.fixed[i]) x[(size_t)k * s.n + i] = 0.0;
+    id_.rhs = x, id_.nrhs = count, id_.lrhs = s.n;
     id_.job = 3;
     dmumps_c(&id_);
     return id_.infog[0] < 0 ? id_.infog[0] : 0;

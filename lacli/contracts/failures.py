@@ -1,0 +1,43 @@
+"""Kinds of failure: those of a scene are results, those of the machine are not. The one list of both.
+
+A run that ends with a kind of ``MACHINE`` is kept nowhere: it is no row, no failure that an emulator or a feasibility
+model learns from, and it runs again when it is asked for again. Whoever keeps or counts runs asks ``of_the_machine``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+# of the machine: what happened, in words
+MACHINE: Mapping[str, str] = MappingProxyType(
+    {
+        "killed": "ended from outside (a signal)",
+        "out_of_memory": "the memory was not enough",
+        "disk_full": "the disk was full",
+        "lost_worker": "the worker of the cluster that did it was lost",
+        "cancelled": "cancelled before it had ended",
+    }
+)
+
+# of the scene: the same scene ends so again, whatever the machine
+SCENE: Mapping[str, str] = MappingProxyType(
+    {
+        "timeout": "longer than numerics.timeout_s",
+        "load_step_underflow": "no equilibrium found at the next load, however small the step",
+        "inverted_element": "a cell turned inside out",
+        "linear_solver": "the linear system could not be solved",
+        "unloading_diverged": "no unloaded shape found",
+        "freefem_error": "FreeFEM stopped with an error",
+        "bad_output": "FreeFEM's results cannot be read",
+    }
+)
+
+TRANSIENT_KINDS = frozenset(MACHINE)
+# after so many ends of one run by the machine it is no accident: it is given up, with what would help
+MOST_ATTEMPTS = 3
+
+
+def of_the_machine(kind: str | None) -> bool:
+    """Whether a run that ended with this kind says nothing about its scene and is to be done again."""
+    return kind in MACHINE

@@ -1,0 +1,71 @@
+"""Every feature of a deformed atrium that images and simulations share: key, unit, definition. Targets bear the same names.
+
+A feature at a time of the cycle is ``<key>@<time>``, the time as a fraction of the RR interval from end-diastole (ED):
+``n_septum_mm@0.25``. A key alone, and ``esv_ml``, stand at end-systole (ES), the peak of the volume.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from lacli.contracts.labels import BODY_REGIONS
+
+TIME_DIGITS = 4
+
+
+@dataclass(frozen=True)
+class Feature:
+    """``key`` as in every table; ``unit`` ("" for a ratio); ``definition`` in a sentence; ``region`` or None for the whole."""
+
+    key: str
+    unit: str
+    definition: str
+    region: str | None = None
+
+
+_REGIONAL = {
+    "d_{}_mm": ("mm", "mean of |u|, u the displacement of the endocardium from ED"),
+    "n_{}_mm": ("mm", "mean of u along the outward normal of the ED surface"),
+    "a_{}_mm": ("mm", "mean of u along the unit tangent of growing UAC alpha (septal to lateral), fixed at ED"),
+    "b_{}_mm": ("mm", "mean of u along the unit tangent of growing UAC beta (posterior to anterior), fixed at ED"),
+    "area_strain_{}": ("", "deformed over ED area of the endocardium, minus 1"),
+    "fibre_strain_{}": ("", "mean Green-Lagrange strain of the endocardial surface along the fibre"),
+}
+
+FEATURES: tuple[Feature, ...] = (
+    Feature("edv_ml", "mL", "volume inside endocardium and valve planes at ED, curved faces"),
+    Feature("esv_ml", "mL", "volume inside endocardium and valve planes at ES, curved faces"),
+    Feature("volume_ml", "mL", "volume inside endocardium and valve planes, curved faces"),
+    Feature("d_global_mm", "mm", "mean of |u| over the body's endocardium by ED area, u the displacement from ED"),
+    *(
+        Feature(pattern.format(region), unit, f"{text}; {region}, by ED area", region)
+        for pattern, (unit, text) in _REGIONAL.items()
+        for region in BODY_REGIONS
+    ),
+)
+KEYS: dict[str, Feature] = {feature.key: feature for feature in FEATURES}
+PUBLISHED: tuple[str, ...] = ("esv_ml", "d_global_mm", *(f"d_{region}_mm" for region in BODY_REGIONS))
+
+
+def at_time(key: str, time: float) -> str:
+    """``<key>@<time>``: at most four digits after the point, no trailing zeros. ValueError for a time outside 0 - 1."""
+    if not (math.isfinite(time) and 0.0 <= time <= 1.0):
+        raise ValueError(f"a time is a fraction of the RR interval, 0 to 1, got {time}")
+    return f"{key}@{round(float(time), TIME_DIGITS):g}"
+
+
+def parse(name: str) -> tuple[Feature, float | None]:
+    """The feature of a name and its time, None where it has none (ES). ValueError where the name is no feature's."""
+    key, mark, time = name.partition("@")
+    if key not in KEYS:
+        raise ValueError(f"{name!r}: no feature {key!r}; there are {', '.join(KEYS)}")
+    if not mark:
+        return KEYS[key], None
+    try:
+        value = float(time)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and 0.0 <= value <= 1.0):
+        raise ValueError(f"{name!r}: the time after @ is a fraction of the RR interval, 0 to 1")
+    return KEYS[key], value

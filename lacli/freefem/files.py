@@ -1,0 +1,46 @@
+"""Files in FreeFEM's own formats: meshes (medit) and arrays of numbers. Lengths and ids as they are given."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lacli.base.arrays import FloatArray, IntArray
+from lacli.base.errors import InputError
+
+# VTK's 10-node cell -> FreeFEM's: middles of edges 01 02 03 12 13 23; triangle: of 12 20 01
+CELL_ORDER = [0, 1, 2, 3, 4, 6, 7, 5, 8, 9]
+FACE_ORDER = [0, 1, 2, 4, 5, 3]
+
+
+def write_medit(file: Path, points: FloatArray, tets: IntArray, region: IntArray, triangles: IntArray, tags: IntArray) -> None:
+    """Write straight cells (corners of ``tets`` (m, 4 or 10) with ``region`` (m,)) and boundary triangles (t, 3 or 6) with
+    ``tags`` (t,), over the points (n, 3) that are corners."""
+    used = np.unique(tets[:, :4])
+    number = np.zeros(len(points), dtype=np.int64)
+    number[used] = np.arange(1, len(used) + 1)
+    with file.open("w", encoding="ascii") as out:
+        out.write(f"MeshVersionFormatted 2\nDimension 3\nVertices\n{len(used)}\n")
+        np.savetxt(out, np.column_stack([points[used], np.zeros(len(used))]), fmt="%.17g %.17g %.17g %d")
+        out.write(f"Tetrahedra\n{len(tets)}\n")
+        np.savetxt(out, np.column_stack([number[tets[:, :4]], region]), fmt="%d")
+        out.write(f"Triangles\n{len(triangles)}\n")
+        np.savetxt(out, np.column_stack([number[triangles[:, :3]], tags]), fmt="%d")
+        out.write("End\n")
+
+
+def write_arrays(file: Path, *arrays: FloatArray | IntArray) -> None:
+    """Each array as FreeFEM reads it: its length twice, then its values in C order, one a line."""
+    with file.open("w", encoding="ascii") as out:
+        for array in arrays:
+            _write_array(out, np.asarray(array).ravel())
+
+
+def _write_array(out: TextIO, values: NDArray[np.generic]) -> None:
+    if values.dtype.kind == "f" and not np.isfinite(values.astype(np.float64)).all():
+        raise InputError("A number that goes into the simulation is not finite; check fibres and coordinates of the bundle.")
+    out.write(f"{len(values)}\n{len(values)}\n")
+    np.savetxt(out, values, fmt="%d" if values.dtype.kind in "iu" else "%.17g")

@@ -1,0 +1,209 @@
+"""What a finished deck left in its folder: states of the wall, features, transients, fields for ParaView."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+import pandas as pd
+
+from lacli.anatomy.surface_features import Endocardium, cavity_volume_ml
+from lacli.base.arrays import FloatArray
+from lacli.base.errors import SimulationError
+from lacli.base.files import write_text
+from lacli.contracts.bundle import Bundle
+from lacli.contracts.case import Case
+from lacli.contracts.scene import MMHG_KPA
+from lacli.mechanics.features import cell_gradient, regional_extras
+
+FIELDS = "fields"
+
+
+@dataclass(frozen=True)
+class State:
+    """Positions x and reference positions X (n, 3) mm in the bundle's numbering; pressure in kPa."""
+
+    x: FloatArray
+    reference: FloatArray
+    pressure: float
+    min_jacobian: float
+
+
+@dataclass(frozen=True)
+class Results:
+    """states by name in order of time (``ed``, the frames, ``es``, and ``unloaded`` where it was found); counts and errors of
+    the deck's history by the first word of their line."""
+
+    states: dict[str, State]
+    numbers: dict[str, list[float]]
+
+
+def read(case: Case, folder: Path) -> Results:
+    """The results in the folder of a deck that has run. Raises SimulationError where they are incomplete."""
+    try:
+        return _read(case, folder)
+    except (OSError, ValueError, KeyError, IndexError) as error:
+        raise SimulationError("bad_output", f"{folder}: FreeFEM's results cannot be read ({error}).") from error
+
+
+def _read(case: Case, folder: Path) -> Results:
+    states: dict[str, State] = {}
+    numbers: dict[str, list[float]] = {}
+    lines = _history(folder)
+    if "end" not in lines:
+        raise ValueError("history.txt has no end")
+    for line in lines:
+        words = line.split()
+        if len(words) >= 5 and words[0] == "state":
+            table = np.loadtxt(folder / f"{words[1]}.txt").reshape(-1, 6)
+            if len(table) != len(case.bundle.points) or not np.isfinite(table).all():
+                raise ValueError(f"{words[1]}.txt is incomplete")
+            states[words[1]] = State(table[:, :3], table[:, 3:], float(words[2]), float(words[4]))
+        elif words and words[0] != "end":
+            numbers[words[0]] = [float(word) for word in words[1:]]
+    lacking = [name for name in ("ed", "es") if name not in states]
+    needed = ("counts", "es_modes", *(("ed_error", "ed_modes") if case.plan.unloading else ()))
+    lacking += [name for name in needed if name not in numbers]
+    if lacking:
+        raise ValueError(f"history.txt lacks {', '.join(lacking)}")
+    return Results(states, numbers)
+
+
+def _history(folder: Path) -> list[str]:
+    """Whole lines of the deck's history; [] where there is none."""
+    with contextlib.suppress(OSError):
+        return (folder / "history.txt").read_text(encoding="ascii").split("\n")[:-1]
+    return []
+
+
+def stand(folder: Path) -> bool:
+    """Whether end-systole was reached: only the unloaded state, an extra, may still be missing."""
+    return "end" in _history(folder)
+
+
+def features(case: Case, results: Results) -> dict[str, Any]:
+    """Features at end-systole and what is known of the way there, by name with unit."""
+    bundle, states, numbers = case.bundle, results.states, results.numbers
+    es = states["es"]
+    surface = Endocardium.of(bundle).features(es.x)
+    found: dict[str, Any] = {
+        "edv_ml": cavity_volume_ml(bundle, states["ed"].x),
+        "esv_ml": surface.pop("volume_ml"),
+        **surface,
+        "unloaded_volume_ml": _unloaded_volume(case, results),
+    }
+    if case.plan.unloading:
+        volume, mean, p95, iterations = numbers["ed_error"]
+        found |= {"ed_volume_error": volume, "ed_shape_error_mean_mm": mean, "ed_shape_error_p95_mm": p95}
+        found |= {"unloading_iterations": int(iterations), "ed_unstable_modes": int(numbers["ed_modes"][0])}
+    else:
+        found |= {"ed_volume_error": 0.0, "ed_shape_error_mean_mm": 0.0, "ed_shape_error_p95_mm": 0.0}
+    unknowns, newton, steps, backs = (int(v) for v in numbers["counts"])
+    found |= {
+        "es_unstable_modes": int(numbers["es_modes"][0]),
+        "min_jacobian": min(state.min_jacobian for name, state in states.items() if name != "unloaded"),
+        "unknowns": unknowns,
+        "newton_iterations": newton,
+        "load_steps": steps,
+        "steps_back": backs,
+    }
+    if case.scene.outputs.strain:
+        found |= regional_extras(bundle, states["ed"].x, es.x)
+    return found
+
+
+def _unloaded_volume(case: Case, results: Results) -> float | None:
+    """Cavity volume without pressure, mL; None where it was not asked for or did not converge."""
+    free = _unloaded(case, results)
+    return None if free is None else cavity_volume_ml(case.bundle, free)
+
+
+def _unloaded(case: Case, results: Results) -> FloatArray | None:
+    """Points (n, 3) mm without pressure; None where they are not known."""
+    if "unloaded" in results.states:
+        return results.states["unloaded"].x
+    return None if case.plan.prestrain else results.states["es"].reference
+
+
+def transients(case: Case, results: Results) -> pd.DataFrame:
+    """Pressure, volume and the endocardium's features from end-diastole, a row for each state in order of time."""
+    endocardium = Endocardium.of(case.bundle)
+    by_file = {phase.file: phase for phase in case.plan.stretches()}
+    rows = []
+    for name, state in results.states.items():
+        if name == "unloaded":
+            continue
+        phase = by_file.get(name)
+        rows.append(
+            {
+                "time": phase.time_to if phase else 0.0,
+                "phase": phase.name if phase else "ed",
+                "pressure_mmhg": state.pressure / MMHG_KPA,
+                **endocardium.features(state.x),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def write_fields(case: Case, results: Results, folder: Path) -> list[str]:
+    """Write VTU files of the states that the scene wants and a .pvd; their names relative to ``folder``."""
+    wanted = case.scene.outputs.fields
+    if wanted == "none":
+        return []
+    place = folder / FIELDS
+    place.mkdir(exist_ok=True)
+    states = results.states
+    names = ["ed", "es"] if wanted == "es" else [name for name in states if name != "unloaded"]
+    free = _unloaded(case, results)
+    times = {phase.file: phase.time_to for phase in case.plan.stretches()}
+    entries = []
+    for name in names:
+        write_state(case.bundle, states[name].x, free, place / f"{name}.vtu")
+        entries.append(f'    <DataSet timestep="{times.get(name, 0.0):.6g}" file="{name}.vtu"/>')
+    if free is not None:
+        write_state(case.bundle, free, free, place / "unloaded.vtu")
+        names = [*names, "unloaded"]
+    pvd = [
+        '<?xml version="1.0"?>',
+        '<VTKFile type="Collection" version="0.1">',
+        "  <Collection>",
+        *entries,
+        "  </Collection>",
+        "</VTKFile>",
+    ]
+    write_text(place / "series.pvd", "\n".join(pvd) + "\n")
+    return [*(f"{FIELDS}/{name}.vtu" for name in names), f"{FIELDS}/series.pvd"]
+
+
+def write_state(bundle: Bundle, x: FloatArray, unloaded: FloatArray | None, file: Path) -> None:
+    """One state as VTU: deformed points, displacement from the image and, where known, from the unloaded state (mm), regions,
+    fibres."""
+    kind = "tetra" if bundle.order == 1 else "tetra10"
+    cell_data: dict[str, list[Any]] = {"region": [bundle.region.astype(np.int32)]}
+    if bundle.fibre is not None:
+        moved = np.einsum("mij,mj->mi", cell_gradient(bundle, bundle.points, x), bundle.fibre)
+        cell_data["fibre"] = [moved / np.linalg.norm(moved, axis=1, keepdims=True)]
+    point_data = {"displacement": x - bundle.points}
+    if unloaded is not None:
+        point_data["displacement_from_unloaded"] = x - unloaded
+    meshio.Mesh(x, [(kind, bundle.tets)], point_data=point_data, cell_data=cell_data).write(file, binary=True, compression="zlib")
+
+
+def keep_last_state(case: Case, folder: Path) -> None:
+    """The state a failed run had reached, as VTU, where the deck wrote one."""
+    with contextlib.suppress(OSError, ValueError):
+        table = np.loadtxt(folder / "last.txt").reshape(-1, 6)
+        if len(table) == len(case.bundle.points) and np.isfinite(table).all():
+            (folder / FIELDS).mkdir(exist_ok=True)
+            free = None if case.plan.prestrain else table[:, 3:]
+            write_state(case.bundle, table[:, :3], free, folder / FIELDS / "last.vtu")
+
+
+def tidy(folder: Path) -> None:
+    """Remove the deck's inputs and raw states: they are written again from the scene, what is in them is in ``fields``."""
+    for file in [*folder.glob("*.txt"), *folder.glob("*.txt.part"), *folder.glob("*.rates"), folder / "wall.mesh"]:
+        file.unlink(missing_ok=True)

@@ -1,0 +1,113 @@
+"""Registration engines behind one interface: two images on one grid -> the displacement of the first's points in the second.
+
+An engine runs in a process of its own (``python -m lacli.motion.registration``): it can be stopped, its memory is its own, and
+what its library prints goes into a log.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lacli.anatomy.inputs.image import Image, read
+from lacli.base.errors import LacliError
+from lacli.base.process import supervise
+from lacli.motion.field import Field, from_sitk, read_field, to_sitk, write_field
+
+TIMEOUT_S = 1800.0
+# of cardiac CT at 1 mm: correlation in patches of 5 voxels, three levels, the update smoothed by 3 voxels and the whole by 1
+GREEDY = ("-m", "NCC", "2x2x2", "-n", "60x40x10", "-s", "3.0vox", "1.0vox")
+DEMONS_LEVELS, DEMONS_STEPS, DEMONS_SD = (4, 2, 1), 60, 1.5
+HU_WINDOW = (-150.0, 400.0)
+
+
+@dataclass(frozen=True)
+class Engine:
+    """``name`` on the command line, ``settings`` that determine its result, ``register`` (fixed, moving) -> Field, in this process."""
+
+    name: str
+    settings: str
+    register: Callable[[Image, Image], Field]
+
+
+@dataclass(frozen=True)
+class Registered:
+    """A field and what it cost: CPU seconds and peak memory (MB) of the engine's process."""
+
+    field: Field
+    cpu_s: float
+    peak_memory_mb: float
+
+
+def _greedy(fixed: Image, moving: Image) -> Field:
+    try:
+        from picsl_greedy import GreedyFloat3D
+    except ImportError as error:
+        raise LacliError("the engine greedy is not installed: pip install picsl-greedy, or choose --engine demons.") from error
+    greedy: Any = GreedyFloat3D()
+    command = " ".join(["-i fixed moving -o warp -threads 1", *GREEDY])
+    greedy.execute(command, out=io.StringIO(), err=io.StringIO(), fixed=to_sitk(fixed), moving=to_sitk(moving), warp=None)
+    return from_sitk(greedy["warp"])
+
+
+def _demons(fixed: Image, moving: Image) -> Field:
+    import SimpleITK as sitk
+
+    sitk.ProcessObject_SetGlobalDefaultNumberOfThreads(1)
+    low, high = HU_WINDOW
+    a, b = (sitk.Clamp(to_sitk(image), sitk.sitkFloat32, low, high) for image in (fixed, moving))
+    demons = sitk.DiffeomorphicDemonsRegistrationFilter()
+    demons.SetNumberOfIterations(DEMONS_STEPS)
+    demons.SetStandardDeviations(DEMONS_SD)
+    field = None
+    for shrink in DEMONS_LEVELS:
+        smooth = [sitk.DiscreteGaussian(i, (0.5 * shrink * i.GetSpacing()[0]) ** 2) if shrink > 1 else i for i in (a, b)]
+        fixed_, moving_ = (sitk.Shrink(i, [shrink] * 3) for i in smooth)
+        if field is not None:
+            field = sitk.Resample(field, fixed_, sitk.Transform(), sitk.sitkLinear, 0.0, sitk.sitkVectorFloat64)
+            field = demons.Execute(fixed_, moving_, field)
+        else:
+            field = demons.Execute(fixed_, moving_)
+    return from_sitk(field)
+
+
+ENGINES: dict[str, Engine] = {
+    "greedy": Engine("greedy", "float " + " ".join(GREEDY), _greedy),
+    "demons": Engine("demons", f"diffeomorphic {DEMONS_LEVELS} {DEMONS_STEPS} {DEMONS_SD} {HU_WINDOW}", _demons),
+}
+
+
+def register_apart(engine: str, fixed: Path, moving: Path, out: Path, timeout_s: float = TIMEOUT_S) -> Registered:
+    """Register two images on one grid in a process of its own; the field is written to ``out`` and returned.
+
+    Raises LacliError with the engine's last words where it fails or takes longer than ``timeout_s``.
+    """
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "ITK_GLOBAL_DEFAULT_NUMBER_OF_THREADS": "1"}
+    command = [sys.executable, "-m", __name__, engine, str(fixed.absolute()), str(moving.absolute()), str(out.absolute())]
+    with tempfile.TemporaryDirectory(prefix="lacli-track-") as scratch:
+        ended = supervise(command, cwd=Path(scratch), env=environment, log=Path(scratch) / "log.txt", timeout_s=timeout_s)
+    if ended.cut is not None or ended.exit_code != 0:
+        why = {"timeout": f"it took more than {timeout_s:.0f} s", "out_of_memory": "the machine's memory ran out"}
+        last = ended.last_lines[-1] if ended.last_lines else f"exit code {ended.exit_code}"
+        raise LacliError(f"registration ({engine}) failed: {why.get(ended.cut or '', last)}.")
+    return Registered(read_field(out), ended.cpu_s, ended.peak_memory_mb)
+
+
+def _main(arguments: list[str]) -> int:
+    engine, fixed, moving, out = arguments
+    try:
+        write_field(ENGINES[engine].register(read(Path(fixed)), read(Path(moving))), Path(out))
+    except (LacliError, RuntimeError) as error:
+        sys.stdout.write(f"{' '.join(str(error).split())}\n")
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(_main(sys.argv[1:]))
