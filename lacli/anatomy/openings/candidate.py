@@ -9,6 +9,7 @@ import numpy as np
 from lacli.base.arrays import FloatArray
 
 RIM, CAP, PATCH, BRANCH, CONTACT, GIVEN = "open rim", "flat cap", "labelled patch", "branch", "ventricle contact", "given"
+GUESS = "shape alone"  # a closed valve: the largest flat patch, or the side opposite the veins
 VEIN = "vein"  # said of a candidate that is some vein, its side and height unknown
 
 

@@ -11,7 +11,7 @@ from scipy import ndimage
 from lacli.anatomy.inputs.image import Image
 from lacli.anatomy.openings import branches, naming, ostium
 from lacli.anatomy.openings.branches import Branch, Skeleton
-from lacli.anatomy.openings.candidate import BRANCH, CAP, CONTACT, GIVEN, PATCH, RIM, Candidate, halves, place
+from lacli.anatomy.openings.candidate import BRANCH, CAP, CONTACT, GIVEN, GUESS, PATCH, RIM, Candidate, halves, place
 from lacli.anatomy.openings.landmarks import Axes, Landmarks, Opening, override
 from lacli.anatomy.openings.mitral import mitral_from_shape
 from lacli.base.arrays import FloatArray
@@ -20,6 +20,7 @@ from lacli.contracts.labels import OPENINGS
 from lacli.geometry.surface import Surface
 
 KEPT_STUB_MM = 12.0  # a vessel whose rim is no farther than that from its ostium ends at the rim, a longer one is cut
+GUESSED = 0.5  # confidence in names that rest on a guess, or on a reading that no atrium of the 23 measured comes near
 HOLE_MM = 6.0  # an unnamed rim narrower than that is a hole, a wider one a further vein
 AT_RIM = 0.8  # a branch that ends within that many diameters of a rim is the rim's vessel
 
@@ -62,7 +63,21 @@ def find(
     if named.best.missing:
         raise AnatomyError(without(named.best, everything))
     notes: list[str] = []
+    valve = everything[named.best.names["mv"]]
     words = doubts(everything, named)
+    if valve.source == GUESS:
+        guess = f"the mitral valve is closed in the file and was placed by the shape alone ({valve.words()})"
+        if axes is None or valve.said:  # without axes, or opposite the veins: all names would follow from a guess
+            named = replace(named, confidence=min(named.confidence, GUESSED))
+            words = (
+                f"{guess}; all names would follow from it. Give [mv] in landmarks.toml (centre, normal out of the "
+                "atrium, mm), or the ventricle's label with --lv, or go on with --accept-low-confidence."
+            )
+        else:
+            notes.append(f"{guess}: look at it, and correct it in landmarks.toml")
+    if named.best.cost > naming.MOST_COST:
+        named = replace(named, confidence=min(named.confidence, GUESSED))
+        words = words or doubts(everything, named)
     if named.confidence < naming.LEAST_CONFIDENCE:
         if not accept_low_confidence:
             raise AnatomyError(words)
@@ -142,7 +157,7 @@ def gather(
         widest = max((c.diameter_mm for c in everything if c.source in (RIM, CAP)), default=0.0)
         veins = sorted((c.diameter_mm for c in everything), reverse=True)[1:]
         if widest < 1.2 * max(veins, default=0.0) or widest < 15.0:
-            everything.append(_of_opening(mitral_from_shape(surface, skeleton)))
+            everything.append(replace(_of_opening(mitral_from_shape(surface, skeleton)), source=GUESS))
     return everything, branch_of
 
 
@@ -214,7 +229,7 @@ def _further(
     found: dict[str, Opening] = {}
     used = set(named.best.names.values())
     for i, candidate in enumerate(everything):
-        if i in used or candidate.source in (CONTACT, CAP):
+        if i in used or candidate.source in (CONTACT, CAP, GUESS):
             continue
         if candidate.source == BRANCH and candidate.length_mm < 1.2 * candidate.diameter_mm:
             continue

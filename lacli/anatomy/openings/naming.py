@@ -19,6 +19,7 @@ from lacli.base.arrays import BoolArray, FloatArray, IntArray
 
 VEINS = ("rspv", "ripv", "lspv", "lipv")
 LEAST_CONFIDENCE = 0.9
+MOST_COST = 9.0  # nats: a best reading that fits worse is none
 MOST = 9  # candidates that take part; the rest are the smallest
 
 # A term is half the square of the distance from the mean in spreads, no more than TERM: one odd feature does not decide alone.
