@@ -136,7 +136,8 @@ def area_and_middle(normal: FloatArray, centre: FloatArray, radius_at: RadiusAt)
 def across(normal: FloatArray) -> FloatArray:
     """A unit vector (3,) perpendicular to ``normal``."""
     e = np.cross(normal, [1.0, 0, 0] if abs(normal[0]) < 0.8 else [0, 1.0, 0])
-    return e / np.linalg.norm(e)
+    size = float(np.linalg.norm(e))
+    return np.asarray(e / size) if size > 1e-12 else np.array([1.0, 0.0, 0.0])  # of no direction: any will do
 
 
 def smallest(centre: FloatArray, normal: FloatArray, axis: FloatArray, radius_at: RadiusAt) -> Section:
