@@ -11,7 +11,7 @@ import numpy as np
 
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.contracts.bundle import Bundle
-from lacli.contracts.labels import ENDO, REGIONS
+from lacli.contracts.labels import ENDO, REGIONS, is_body
 from lacli.geometry.quadrature import area_vectors, at_quadrature, enclosed_volume_ml, tangents, triangle_shapes
 
 _FLAT = 1e-12
@@ -38,7 +38,7 @@ def _endocardial_cells(bundle: Bundle) -> tuple[IntArray, IntArray]:
     endo = bundle.triangles[bundle.tags == ENDO]
     at = order[np.searchsorted(key[order], _face_key(endo[:, :3], size))]
     cell = owner[at]
-    body = bundle.region[cell] <= max(REGIONS.values())
+    body = is_body(bundle.region[cell])
     return endo[body], cell[body]
 
 
