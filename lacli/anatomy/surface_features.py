@@ -47,22 +47,6 @@ def _face_key(faces: IntArray, size: int) -> IntArray:
     return (a * size + b) * size + c if size < 2_000_000 else a * size * size + b * size + c
 
 
-def displacements_mm(bundle: Bundle, image: FloatArray, points: FloatArray) -> dict[str, float]:
-    """Mean distance from the image's end-diastolic endocardium, by area of the image: d_global_mm and d_<region>_mm.
-
-    Weighting by area is the mean over element centres of an even mesh, and converges under refinement.
-    """
-    triangles, region = endocardial_regions(bundle)
-    weight = np.linalg.norm(area_vectors(triangles, image), axis=2)
-    moved = np.linalg.norm(at_quadrature(triangles, points - image), axis=2)
-    result = {"d_global_mm": float((weight * moved).sum() / weight.sum())}
-    for name, number in REGIONS.items():
-        here = region == number
-        if here.any():
-            result[f"d_{name}_mm"] = float((weight[here] * moved[here]).sum() / weight[here].sum())
-    return result
-
-
 @dataclass(frozen=True)
 class Endocardium:
     """The body's endocardium at end-diastole, with what its features are measured along, at the quadrature points.
@@ -121,6 +105,7 @@ class Endocardium:
         if self.along is not None:
             fibre = self.along[..., :1] * d1 + self.along[..., 1:] * d2
             fields["fibre_strain_{}"] = 0.5 * ((fibre**2).sum(2) - 1.0)
+        # each region's mean of every field
         for region, number in REGIONS.items():
             here = self.region == number
             if not here.any():
