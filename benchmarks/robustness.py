@@ -1,30 +1,34 @@
-"""What a user sees when something goes wrong: a mishap is arranged, ``lacli simulate`` run, message and aftermath judged.
+"""What a user sees when something goes wrong: a mishap is arranged, a command run, message and aftermath judged.
 
-python benchmarks/robustness.py [--json]      (about 20 short simulations; the full disk needs root, else it is left out)
+python benchmarks/robustness.py [--shots 100] [--seed 0] [--json]     (the full disk needs root, else it is left out)
 
 Asked: one clear message, exit code 1 or 2, no traceback, nothing lost or half-written, the same features when run again.
+Of shots (shots.py) at simulate, design, calibrate and mesh, their FreeFEM, workers and compilers, at random moments: products
+equal to the undisturbed ones, no orphan after 1 s, no lock or temporary left, each signal said, exit code 128 + n.
 """
 
 from __future__ import annotations
 
+import argparse
+import importlib.util
 import json
 import os
 import signal
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from shots import Range, Shot, shots
 
-from lacli.cli.console import print_json, print_table
+from lacli.cli.console import err, print_json, print_table
 from lacli.contracts.bundle import Bundle, load, save
 from lacli.contracts.labels import ENDO, OTHER
-from lacli.motion.annulus import FILE as MOTION
+from lacli.contracts.motion import save_motion
 from lacli.synthetic.atrium import synthesize
 
 LACLI = [sys.executable, "-c", "from lacli.cli.main import run; run()"]
@@ -66,14 +70,7 @@ class Place:
 
     def write(self, bundle: Bundle) -> None:
         save(bundle, self.bundle_folder)
-        m = self.motion
-        np.savez(
-            self.bundle_folder / MOTION,
-            times=m.times,
-            wall_point=m.wall_point,
-            positions=m.positions,
-            es_time=np.array(m.es_time),
-        )
+        save_motion(self.motion, self.bundle_folder)
 
     def command(self, *more: str) -> list[str]:
         return [*LACLI, "simulate", str(self.scene), "--out", str(self.root), "--no-figures", "--json", *more]
@@ -136,66 +133,12 @@ def features_of(answer: subprocess.CompletedProcess[str]) -> dict[str, float]:
     return {name: value for name, value in found.items() if isinstance(value, float) and name.endswith(("_ml", "_mm"))}
 
 
-def children(pid: int) -> list[int]:
-    try:
-        return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-    except OSError:
-        return []
-
-
-def running(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except OSError:
-        return False
-
-
-def freefem_of(lacli: subprocess.Popen[str]) -> list[int]:
-    """The run's FreeFEM, not the short one by which lacli finds out whether FreeFEM works."""
-    found = []
-    for pid in children(lacli.pid):
-        with suppress(OSError):  # a short one that has ended by now
-            line = Path(f"/proc/{pid}/cmdline").read_bytes()
-            if b"FreeFem" in line and b".tmp-" in line:
-                found.append(pid)
-    return found
-
-
-def shot(place: Place, case: str, after_s: float, whom: str, how: signal.Signals, expected: dict[str, float]) -> Verdict:
-    """Send ``how`` to lacli or to FreeFEM some seconds after FreeFEM has started; then run again."""
-    setting = f"numerics.timeout_s={3600 + np.random.default_rng().random():.6f}"  # a key of its own, the same physics
-    with subprocess.Popen(place.command("--set", setting), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as lacli:
-        while not (solver := freefem_of(lacli)) and lacli.poll() is None:
-            time.sleep(0.01)
-        time.sleep(after_s)
-        for pid in [lacli.pid] if whom == "lacli" else freefem_of(lacli):
-            os.kill(pid, how)
-        _, said = lacli.communicate(timeout=900)
-    end = time.monotonic() + 3
-    while any(map(running, solver)) and time.monotonic() < end:
-        time.sleep(0.05)
-    orphans = sum(map(running, solver))
-    again = place.simulate("--set", setting)
-    same = again.returncode == 0 and all(abs(value - expected[name]) < 1e-9 for name, value in features_of(again).items())
-    leftovers = len(list(place.root.glob(".tmp-*")))
-    lines = [line for line in said.strip().splitlines() if not line.lstrip()[:1].isdigit()]
-    message = " ".join(lines)[-220:]
-    ok = same and not orphans and not leftovers and "Traceback" not in said and (bool(message) or how == signal.SIGKILL)
-    aftermath = f"{orphans} orphans, {leftovers} leftovers, run again: {'same features' if same else 'NOT the same'}"
-    return Verdict(f"{case} after {after_s:.1f} s", lacli.returncode, message, ok, aftermath)
-
-
 def mishaps(place: Place) -> Iterator[Verdict]:
     first = place.simulate()
     if first.returncode != 0:
         yield one_message("a plain simulation", first, "", code=0)
         return
     expected = features_of(first)
-    lasting = json.loads(first.stdout)["manifest"]["wall_s"]
-    for share in (0.1, 0.5, 0.9):
-        yield shot(place, "kill -9 of FreeFEM", share * lasting, "FreeFEM", signal.SIGKILL, expected)
-        yield shot(place, "kill -9 of lacli", share * lasting, "lacli", signal.SIGKILL, expected)
-    yield shot(place, "Ctrl-C", 0.5 * lasting, "lacli", signal.SIGINT, expected)
     yield damaged_product(place, expected)
     yield from full_disk(place, expected)
 
@@ -244,14 +187,54 @@ def full_disk(place: Place, expected: dict[str, float]) -> Iterator[Verdict]:
     place.root = home
 
 
+def volley(folder: Path, count: int, seed: int) -> Iterator[Verdict]:
+    """Shots at random moments, one line each on standard error; verdicts by target, victim and signal."""
+
+    def tell(shot: Shot) -> None:
+        faults = "; ".join(shot.faults) or "as asked"
+        err.print(f"{shot.target}: {shot.how} of {shot.victim} after {shot.after_s:.1f} s: {faults}", highlight=False)
+
+    place = Range(folder)
+    landed, misses = shots(place, count, seed, tell)
+    if importlib.util.find_spec("distributed") is not None:
+        from shots_cluster import cluster_shots
+
+        landed += cluster_shots(place, count // 7, seed, tell)
+    groups: dict[tuple[str, str, str], list[Shot]] = {}
+    for shot in landed:
+        groups.setdefault((shot.target, shot.victim, shot.how), []).append(shot)
+    for (target, victim, how), group in sorted(groups.items()):
+        good = sum(not shot.faults for shot in group)
+        faults = "; ".join(fault for shot in group for fault in shot.faults)
+        verdict = Verdict(f"{target}: {how} of {victim}", group[-1].exit_code, group[-1].said[-120:], good == len(group))
+        yield replace(verdict, aftermath=f"{good} of {len(group)} shots as asked" + (f" ({faults})" if faults else ""))
+    good = sum(not shot.faults for shot in landed)
+    missed = ", ".join(f"{name}: {number}" for name, number in misses.items()) or "none"
+    total = Verdict(f"{len(landed)} shots that landed", 0, f"missed, and shot again: {missed}", good == len(landed))
+    yield replace(total, aftermath=f"{good} of {len(landed)} as asked")
+
+
 def main() -> None:
     """Print a line for each mishap; exit code 1 if one did not go as asked."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--shots", type=int, default=100, help="shots that land; 0: none")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only-shots", action="store_true", help="leave the other mishaps out")
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    # started in the background, Ctrl-C is ignored, and that would be passed on
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     with tempfile.TemporaryDirectory(prefix="lacli-robustness-") as folder:
-        place = Place(Path(folder))
-        load(place.bundle_folder)
-        sources: list[Callable[[Place], Iterator[Verdict]]] = [bad_input, mishaps]
-        verdicts = [verdict for source in sources for verdict in source(place)]
-    if "--json" in sys.argv:
+        verdicts: list[Verdict] = []
+        if not options.only_shots:
+            place = Place(Path(folder))
+            load(place.bundle_folder)
+            sources: list[Callable[[Place], Iterator[Verdict]]] = [bad_input, mishaps]
+            verdicts += [verdict for source in sources for verdict in source(place)]
+        if options.shots:
+            (Path(folder) / "range").mkdir()
+            verdicts += volley(Path(folder) / "range", options.shots, options.seed)
+    if options.json:
         print_json([vars(verdict) for verdict in verdicts])
     else:
         rows = [[v.case, "as asked" if v.passed else "NOT as asked", v.exit_code, v.aftermath, v.message] for v in verdicts]

@@ -25,14 +25,15 @@ from lacli.cli.console import print_json, print_table
 from lacli.contracts import bundle as bundles
 from lacli.contracts.case import Case
 from lacli.contracts.motion import save_motion
-from lacli.contracts.scene import Scene, build_scene, parameter_box, with_parameters
+from lacli.contracts.parameters import parameter_box
+from lacli.contracts.scene import Scene, build_scene, with_parameters
 from lacli.mechanics import deck, plan, results, sensitivities
 from lacli.mechanics.execute import run_scenes
 from lacli.mechanics.simulation import RunResult
 from lacli.synthetic.atrium import synthesize
 
 ASKED_ERROR = 1e-4
-ASKED_COST = 0.08  # of a run, at end-systole
+ASKED_COST, ASKED_COST_FRAMES = 0.08, 0.25  # of a run: at end-systole alone, in frames too
 TOLERANCE_MM = 1e-9
 STEP, STEP_PTH = 2e-3, 2e-4
 
@@ -124,8 +125,9 @@ def cost(scene: Scene, folder: Path, repeats: int = 5) -> dict[str, Any]:
                 chain.append(_chain(case, place))
     without, with_ = (statistics.median(spent[asked]) for asked in (False, True))
     python = statistics.median(chain)
+    asked_share = ASKED_COST if scene.outputs.frames < 2 else ASKED_COST_FRAMES
     extra = statistics.median(b - a for a, b in zip(spent[False], spent[True], strict=True)) + python
-    return {"without_s": without, "with_s": with_, "python_s": python, "share": extra / without, "asked": ASKED_COST}
+    return {"without_s": without, "with_s": with_, "python_s": python, "share": extra / without, "asked": asked_share}
 
 
 def _chain(case: Case, place: Path) -> float:
@@ -142,7 +144,7 @@ def main() -> None:
     parser.add_argument("--order", type=int, default=1, choices=(1, 2))
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--frames", type=int, default=0)
-    parser.add_argument("--points", nargs="*", default=list(POINTS), choices=list(POINTS))
+    parser.add_argument("--points", nargs="*", default=list(POINTS), choices=list(POINTS), help="none: the cost alone")
     parser.add_argument("--repeats", type=int, default=5, help="of the cost's runs; 0: no cost")
     parser.add_argument("--out", type=Path, help="where runs are kept (and found again); else they are thrown away")
     parser.add_argument("--json", action="store_true")
@@ -170,10 +172,10 @@ def main() -> None:
     if choice.json:
         print_json({"rows": rows, "cost": price})
     else:
-        columns = list(rows[0])
+        columns = list(rows[0]) if rows else []
         print_table(f"asked: errors within {ASKED_ERROR:g}", columns, [[row[name] for name in columns] for row in rows])
         print_table("cost of a run", list(price), [list(price.values())])
-    if max(row["error"] for row in rows) > ASKED_ERROR or price.get("share", 0.0) > ASKED_COST:
+    if any(row["error"] > ASKED_ERROR for row in rows) or price.get("share", 0.0) > price.get("asked", 1.0):
         raise SystemExit(1)
 
 

@@ -13,6 +13,9 @@ PACKAGES=(
   libglu1-mesa libxcursor1 libxft2 libxinerama1 libegl1
 )
 
+# for the tests of runs on SLURM, which are skipped where these cannot be had
+TEST_PACKAGES=(slurm-wlm munge)
+
 say() { printf '== %s\n' "$*"; }
 
 die() {
@@ -20,26 +23,35 @@ die() {
   exit 1
 }
 
-install_system_packages() {
-  if ! command -v dpkg-query >/dev/null; then
-    say "no Debian packages here: FreeFEM 4.9 or later, g++, and the libraries of gmsh and VTK must be there already"
-    return
-  fi
-  local package missing=()
-  for package in "${PACKAGES[@]}"; do
+# install_packages PACKAGE...: those that are missing; fails where they cannot be had
+install_packages() {
+  local package missing=() as_root=()
+  for package in "$@"; do
     dpkg-query -W -f '${db:Status-Status}\n' "$package" 2>/dev/null | grep -qx installed || missing+=("$package")
   done
   if [ "${#missing[@]}" -eq 0 ]; then
     return
   fi
-  local as_root=()
   if [ "$(id -u)" -ne 0 ]; then
     command -v sudo >/dev/null || die "these packages are missing: ${missing[*]}. Install them as root, or install sudo."
     as_root=(sudo)
   fi
   say "system packages: ${missing[*]}"
-  "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get update -q
-  "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends "${missing[@]}"
+  "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get update -q &&
+    "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends "${missing[@]}"
+}
+
+install_test_packages() {
+  command -v dpkg-query >/dev/null && (install_packages "${TEST_PACKAGES[@]}") ||
+    say "no ${TEST_PACKAGES[*]} here: the tests of runs on SLURM are skipped"
+}
+
+install_system_packages() {
+  if ! command -v dpkg-query >/dev/null; then
+    say "no Debian packages here: FreeFEM 4.9 or later, g++, and the libraries of gmsh and VTK must be there already"
+    return
+  fi
+  install_packages "${PACKAGES[@]}"
 }
 
 make_environment() {
@@ -55,7 +67,7 @@ make_environment() {
 
 # install_lacli [EXTRA]: again only when the package's files have changed since
 install_lacli() {
-  local target="$ROOT${1:+[$1]}" stamp="$VENV/.lacli-installed${1:+-$1}" state
+  local target="$ROOT${1:+[$1]}" stamp="$VENV/.lacli-installed${1:+-${1//,/-}}" state
   state="$(cd "$ROOT" && find pyproject.toml README.md LICENSE lacli templates solvers -type f ! -name '*.pyc' -print0 |
     sort -z | xargs -0 sha256sum | sha256sum)"
   if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$state" ]; then

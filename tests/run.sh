@@ -2,7 +2,8 @@
 # Installs everything, then style, types and tests: bash tests/run.sh [PYTEST_ARGUMENTS]
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/../examples/install.sh"
-install_lacli test
+install_test_packages
+install_lacli test,cluster
 cd "$ROOT"
 
 say "ruff"

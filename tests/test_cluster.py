@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import signal
@@ -15,11 +16,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import pytest
-
-distributed = pytest.importorskip("distributed", reason="needs the extra 'cluster'")
-
 import psutil
+import pytest
 
 from lacli.base.errors import LacliError, StorageError, UsageError
 from lacli.base.process import supervise
@@ -29,6 +27,7 @@ from lacli.mechanics.store import list_runs, open_run
 
 SceneOf = Callable[..., Scene]
 HERE = Path(__file__).parent
+pytestmark = pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="needs the extra 'cluster'")
 
 
 @dataclass(frozen=True)
@@ -92,7 +91,9 @@ class Cluster:
         wait_for(self.file.is_file, 60)
         self.nannies = [self.start("worker", "--nthreads", "1", "--no-dashboard") for _ in range(workers)]
         self.address = f"tcp://127.0.0.1:{self._port()}"
-        with distributed.Client(self.address, set_as_default=False) as client:
+        from distributed import Client
+
+        with Client(self.address, set_as_default=False) as client:
             client.wait_for_workers(workers, timeout=60)
 
     @property
@@ -197,7 +198,7 @@ def test_a_lost_scheduler_is_one_message_and_nothing_runs_on(cluster: Cluster, s
         died.append(time.monotonic())
 
     later(lambda: len(children_at_work(root)) == 2 and list_runs(root), kill)
-    with pytest.raises(LacliError, match="connection to the Dask scheduler at tcp://127.0.0.1:.* is lost. What was finished"):
+    with pytest.raises(LacliError, match=r"connection to the Dask scheduler at tcp://127.0.0.1:.* is lost. What was finished"):
         list(run_scenes(scenes(scene_of, 0.01, 6, 6.1), root, scheduler=cluster.address, task=busy))
     wait_for(lambda: not children_at_work(root), died[0] + 5 - time.monotonic())
     assert len(list_runs(root)) == 1

@@ -304,3 +304,24 @@ def test_times_are_recorded(scene_of: SceneOf, tmp_path: Path) -> None:
     assert stored.manifest["cpu_s"] == 1.5
     assert stored.manifest["seeds"] == {"sobol": 3}
     assert {"lacli", "python", "numpy", "freefem"} <= set(stored.manifest["versions"])
+
+
+def test_a_file_larger_than_allowed_is_one_message(tmp_path: Path) -> None:
+    """``ulimit -f``: 64 kB."""
+    limited = (
+        "import resource, sys; from pathlib import Path; resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 16, 1 << 16));"
+        "from lacli.base.errors import StorageError; from lacli.base.files import write_text\n"
+        "try: write_text(Path(sys.argv[1]), 'x' * (1 << 18))\n"
+        "except StorageError as error: print(error)"
+    )
+    command = [sys.executable, "-c", limited, str(tmp_path / "table.csv")]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert "larger than allowed (ulimit -f, 64 kB). Raise the limit" in said and str(tmp_path) in said
+    assert not list(tmp_path.iterdir())
+
+
+def test_locks_of_killed_processes_are_swept(scene_of: SceneOf, tmp_path: Path) -> None:
+    (tmp_path / ".locks").mkdir()
+    (tmp_path / ".locks" / "0123456789abcdef").write_text("4194304 here\n")
+    finished(tmp_path, scene_of())
+    assert not list((tmp_path / ".locks").iterdir())

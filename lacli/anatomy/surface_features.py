@@ -11,7 +11,7 @@ import numpy as np
 
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.contracts.bundle import Bundle
-from lacli.contracts.labels import ENDO, REGIONS
+from lacli.contracts.labels import ENDO, REGIONS, is_body
 from lacli.geometry.quadrature import area_vectors, at_quadrature, enclosed_volume_ml, tangents, triangle_shapes
 
 _FLAT = 1e-12
@@ -38,29 +38,13 @@ def _endocardial_cells(bundle: Bundle) -> tuple[IntArray, IntArray]:
     endo = bundle.triangles[bundle.tags == ENDO]
     at = order[np.searchsorted(key[order], _face_key(endo[:, :3], size))]
     cell = owner[at]
-    body = bundle.region[cell] <= max(REGIONS.values())
+    body = is_body(bundle.region[cell])
     return endo[body], cell[body]
 
 
 def _face_key(faces: IntArray, size: int) -> IntArray:
     a, b, c = np.sort(faces, axis=1).T
     return (a * size + b) * size + c if size < 2_000_000 else a * size * size + b * size + c
-
-
-def displacements_mm(bundle: Bundle, image: FloatArray, points: FloatArray) -> dict[str, float]:
-    """Mean distance from the image's end-diastolic endocardium, by area of the image: d_global_mm and d_<region>_mm.
-
-    Weighting by area is the mean over element centres of an even mesh, and converges under refinement.
-    """
-    triangles, region = endocardial_regions(bundle)
-    weight = np.linalg.norm(area_vectors(triangles, image), axis=2)
-    moved = np.linalg.norm(at_quadrature(triangles, points - image), axis=2)
-    result = {"d_global_mm": float((weight * moved).sum() / weight.sum())}
-    for name, number in REGIONS.items():
-        here = region == number
-        if here.any():
-            result[f"d_{name}_mm"] = float((weight[here] * moved[here]).sum() / weight[here].sum())
-    return result
 
 
 @dataclass(frozen=True)
@@ -121,6 +105,7 @@ class Endocardium:
         if self.along is not None:
             fibre = self.along[..., :1] * d1 + self.along[..., 1:] * d2
             fields["fibre_strain_{}"] = 0.5 * ((fibre**2).sum(2) - 1.0)
+        # each region's mean of every field
         for region, number in REGIONS.items():
             here = self.region == number
             if not here.any():
@@ -137,24 +122,19 @@ class Endocardium:
         shapes = triangle_shapes(self.faces.shape[1])
         moved = at_quadrature(self.faces, points - self.ed)
         d1, d2 = tangents(self.faces, points)
-        vector = np.cross(d1, d2)
-        normal = _unit(vector)
+        normal = _unit(np.cross(d1, d2))
         fields = {"d_{}_mm": _unit(moved), "n_{}_mm": self.normal}
         if self.alpha is not None and self.beta is not None:
             fields |= {"a_{}_mm": self.alpha, "b_{}_mm": self.beta}
         # (t, k, 3): of a triangle's part in the area's sum along its nodes
-        parts = {key: np.einsum("tq,qk,tqi->tki", self.area, shapes.value, field) for key, field in fields.items()}
+        parts = {key: shapes.value.T @ (self.area[..., None] * field) for key, field in fields.items()}
         if self.along is not None:
-            fibre = self.along[..., :1] * d1 + self.along[..., 1:] * d2
-            along = [self.area * self.along[..., i] for i in (0, 1)]
-            parts["fibre_strain_{}"] = sum(
-                np.einsum("tq,qk,tqi->tki", share, slope, fibre)
-                for share, slope in zip(along, (shapes.d1, shapes.d2), strict=True)
-            )
-        parts["area_strain_{}"] = np.einsum("q,qk,tqi->tki", shapes.weight, shapes.d1, np.cross(d2, normal))
-        parts["area_strain_{}"] += np.einsum("q,qk,tqi->tki", shapes.weight, shapes.d2, np.cross(normal, d1))
+            fibre = self.area[..., None] * (self.along[..., :1] * d1 + self.along[..., 1:] * d2)
+            parts["fibre_strain_{}"] = shapes.d1.T @ (self.along[..., :1] * fibre) + shapes.d2.T @ (self.along[..., 1:] * fibre)
+        normal *= shapes.weight[:, None]
+        parts["area_strain_{}"] = shapes.d1.T @ np.cross(d2, normal) + shapes.d2.T @ np.cross(normal, d1)
         whole = {"d_global_mm": _nodal(parts["d_{}_mm"], self.faces, len(points)) / self.area.sum()}
-        swept = np.einsum("qk,tqi->tki", triangle_shapes(self.closed.shape[1]).value, area_vectors(self.closed, points))
+        swept = triangle_shapes(self.closed.shape[1]).value.T @ area_vectors(self.closed, points)
         whole["volume_ml"] = -_nodal(swept, self.closed, len(points)) / 1000.0
         for region, number in REGIONS.items():
             here = self.region == number

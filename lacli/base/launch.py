@@ -25,6 +25,8 @@ def end_with(parent: int, how: signal.Signals = signal.SIGKILL) -> None:
 
 
 def _become(command: list[str]) -> None:
+    for number in (signal.SIGPIPE, signal.SIGXFSZ):  # which Python ignores, and a program would inherit that
+        signal.signal(number, signal.SIG_DFL)
     try:
         os.execvp(command[0], command)
     except OSError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import os
 import signal
@@ -61,6 +62,16 @@ def settle() -> None:
     _State.settled = True
     if _State.received is not None:
         _leave(_State.received)
+
+
+def leave(code: int) -> NoReturn:
+    """Exit as ``sys.exit`` does, but for the interpreter's last moments, in which a signal would end it without a word."""
+    with contextlib.suppress(Exception):
+        atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(code)
 
 
 @contextlib.contextmanager

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 
 from lacli.base.arrays import FloatArray
-from lacli.base.errors import InputError, LacliError, UsageError
-from lacli.base.files import DAMAGED, replacing, write_json
+from lacli.base.errors import LacliError, UsageError
+from lacli.base.files import write_json
+from lacli.base.schema import Array, array_file
 from lacli.contracts.identity import Identity, conflict, flatten, identify, parse_identity, read_identity, write_identity
 from lacli.contracts.targets import Targets
 from lacli.inference import posterior as mcmc
@@ -28,8 +29,10 @@ from lacli.inference.emulation.emulator_set import EmulatorSet, emulators_identi
 from lacli.inference.emulation.feasibility import learn
 from lacli.inference.likelihood import Density
 from lacli.inference.matching import Match, Region, Wave, match, next_runs, ruled_out_by
+from lacli.inference.matching_file import load_match, save_match
 from lacli.inference.nroy import EmptyRegionError, RegionSample
 from lacli.inference.runs import RunLog, Simulator
+from lacli.inference.verdict import Verdict, judge
 
 FILE = "calibration.json"  # the identity of the calibration in a folder
 # settings that say how far to go, not where: with others a calibration goes on
@@ -112,6 +115,7 @@ class Calibration:
     draws: FloatArray
     stopped: str
     x: FloatArray
+    verdict: Verdict
 
 
 def calibrate(
@@ -195,6 +199,7 @@ def calibrate(
     chain = _sample(density, settings, samples[-1], folder / "chain.npz", monitor, number, tuple(reports))
     map_x, _ = mcmc.maximum(density, chain)
     table = mcmc.summary(chain, map_x)
+    verdict = judge(emulators, density.targets, box, map_x, region.waves[-1].threshold, chain.flat())
     draws = np.empty((0, len(targets.names)))
     fit, rmse = _fit(emulators, targets, map_x, None), None
     if simulator is not None:
@@ -209,7 +214,7 @@ def calibrate(
         off = [float(r["simulated"]) - float(r["target"]) for r in fit if str(r["feature"]).endswith("_mm")]
         rmse = float(np.sqrt(np.mean(np.square(off)))) if off else None
     result = Calibration(
-        tuple(reports), region, emulators, tuple(samples), chain, map_x, table, fit, rmse, draws, stopped, x
+        tuple(reports), region, emulators, tuple(samples), chain, map_x, table, fit, rmse, draws, stopped, x, verdict
     )  # fmt: skip
     write_json(folder / "result.json", {"identity": identity.digest, **document(result)})
     return result
@@ -226,6 +231,7 @@ def document(result: Calibration) -> dict[str, Any]:
             "samples": len(result.chain.flat()),
             "acceptance": result.chain.acceptance,
             "fit": result.fit,
+            "verdict": result.verdict.document(),
             "rmse_mm": result.rmse_mm,
             "draws": result.draws.tolist(),
         }
@@ -287,40 +293,17 @@ def _kept(file: Path, identity: Identity) -> bool:
     """Whether the .npz file was made from the same. Raises InputError where it is damaged."""
     if not file.is_file():
         return False
-    try:
-        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
-            return "identity" in arrays.files and parse_identity(str(arrays["identity"])) == identity
-    except DAMAGED as error:
-        raise InputError(f"{file}: cannot be read, it is damaged ({error}). Remove it to make it anew.") from error
+    with array_file(file, "a wave's result", "Remove it to make it anew.") as arrays:
+        found = arrays.read({"identity": Array("text")}, optional=("identity",))
+        return "identity" in found and parse_identity(str(found["identity"])) == identity
 
 
 def _match(region: Region, settings: Settings, number: int, place: Path, previous: Match | None) -> Match:
     file = place / "region.npz"
     identity = identify("region", region=region, seed=settings.seed)
     if not _kept(file, identity):
-        found = match(region, seed=settings.seed + number, previous=previous)
-        s = found.sample
-        with replacing(file) as temporary, temporary.open("wb") as sink:
-            numbers = [
-                s.volume,
-                s.volume_sd,
-                s.acceptance,
-                s.correlation,
-                s.evaluations,
-                found.share,
-                found.share_sd,
-                found.change,
-            ]
-            np.savez_compressed(
-                sink, points=s.points, level=s.level, numbers=np.array(numbers, float), identity=np.array(identity.text())
-            )
-    try:
-        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as a:
-            v = [float(value) for value in a["numbers"]]
-            sample = RegionSample(a["points"], a["level"], v[0], v[1], v[2], v[3], int(v[4]))
-            return Match(sample, v[5], v[6], v[7])
-    except DAMAGED as error:
-        raise InputError(f"{file}: not a matched region, or a damaged one ({error}). Remove it to match anew.") from error
+        save_match(file, match(region, seed=settings.seed + number, previous=previous), identity.text())
+    return load_match(file, region.box)
 
 
 def _next(

@@ -41,7 +41,7 @@ class SceneSimulator:
         """The scene but for what the inputs set, the bundle's content, FreeFEM's scripts, the errors that travel with a run."""
         from lacli.contracts.identity import determinants, flatten
 
-        given = [QUANTITIES[name].key for name in inputs]
+        given = [QUANTITIES[name].key for name in inputs if name in QUANTITIES]
         kept = {key: value for key, value in flatten(determinants(self.scene)).items() if key not in given}
         return {**kept, "discretisation_error": self._errors()}
 
@@ -54,10 +54,13 @@ class SceneSimulator:
 def simulator(
     scene_file: Path, root: Path, workers: int | None = None, scheduler: str | None = None, overrides: list[str] | None = None
 ) -> SceneSimulator:
-    """The simulator of a scene file. Raises SceneError.
+    """The simulator of a scene file. Raises SceneError, and StorageError where nothing can be written to ``root``.
 
     Neither fields nor the unloaded state are computed (a calibration makes hundreds of runs and reads their features).
     """
+    from lacli.base.files import check_folder
+
+    check_folder(root, "--store")
     scene = load_scene(scene_file, [*(overrides or []), "outputs.fields=none", "outputs.unloaded=false"])
     return SceneSimulator(scene, root, workers, scheduler)
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lacli.base.errors import UsageError
+from lacli.base.errors import LacliError, UsageError
 from lacli.cli.console import err, out, print_json, print_table
 from lacli.cli.tables import BoxFile, Fresh, Json, Retry, Seed, superseded
 
@@ -63,6 +63,7 @@ def command(
 
     Example: lacli calibrate scene.toml --targets targets.toml --out patient_1
     """
+    from lacli.base.files import check_folder
     from lacli.calibration.calibration import Settings, calibrate, calibration_identity, obstacle
     from lacli.inference.box import CALIBRATION_INPUTS, OUTPUTS, published_box, read_box
     from lacli.inference.posterior import Settings as Sampling
@@ -74,6 +75,7 @@ def command(
         raise UsageError("give a SCENE to simulate, or --from-table with runs done elsewhere.")
     if synthetic == (targets_file is not None):
         raise UsageError("give either --targets or --synthetic-truth.")
+    check_folder(folder)
     box = read_box(box_file) if box_file else published_box(CALIBRATION_INPUTS)
     settings = Settings(
         first_runs=first,
@@ -132,7 +134,8 @@ def _from_table(
     """The calibration of a table, and the folder it is in."""
     from lacli.calibration.calibration import calibrate, calibration_identity, given_runs, obstacle
     from lacli.contracts.identity import settle
-    from lacli.contracts.table import ERROR_SUFFIX, IGNORED, read_frame
+    from lacli.contracts.table import is_bookkeeping, read_frame
+    from lacli.contracts.table_columns import error_of
     from lacli.contracts.targets import read_targets
     from lacli.inference.box import RANGES, read_box, table_box
     from lacli.inference.runs import RunLog
@@ -142,7 +145,8 @@ def _from_table(
     if box_file:
         box = read_box(box_file)
     else:
-        others = [n for n in frame.columns if n not in targets.names and n not in IGNORED and not n.endswith(ERROR_SUFFIX)]
+        others = [n for n in frame.columns if n not in targets.names and not is_bookkeeping(n)]
+        others = [n for n in others if error_of(n, list(frame.columns)) is None]
         known = [n for n in others if n in RANGES]
         names = known or others
         x = frame[names].apply(_number).to_numpy(float)
@@ -247,9 +251,17 @@ def _finish(result: Calibration, folder: Path, figures: bool, as_json: bool, wal
     pictures = _draw(result, folder, None) if figures else []
     if as_json:
         print_json({**document(result), "wall_s": wall_s, "pictures": [str(p) for p in pictures]})
-        return
-    _show(result)
-    out.print(f"Stopped because {result.stopped}; {_time(wall_s)}. Everything is in {folder}", highlight=False, soft_wrap=True)
+    else:
+        _show(result)
+        out.print(
+            f"Stopped because {result.stopped}; {_time(wall_s)}. Everything is in {folder}", highlight=False, soft_wrap=True
+        )
+    for text in result.verdict.warnings():
+        err.print(f"warning: {text}", highlight=False, soft_wrap=True)
+    if not result.verdict.plausible:
+        raise LacliError(
+            "the most probable point misses a target by more than the threshold: this is no answer. Check the targets."
+        )
 
 
 def _show(result: Calibration) -> None:

@@ -191,21 +191,23 @@ def _feasibility(runs: Path | None, box: Box) -> tuple[Callable[[FloatArray], ND
     """What earlier failures teach: (accept or None, sentence or empty)."""
     if runs is None:
         return None, ""
-    from lacli.contracts.table import STATUS, ended_by_machine, finished, input_values, read_frame
+    from lacli.contracts.table import STATUS, input_values, read_frame
+    from lacli.contracts.table_columns import run_states
     from lacli.inference.emulation.feasibility import FEWEST_FAILURES, learn
 
     frame = read_frame(runs)
     missing = [name for name in (*box.names, STATUS) if name not in frame.columns]
     if missing:
         raise UsageError(f"{runs}: no column {', '.join(missing)}; it must hold the inputs and a status of each run.")
-    if (lost := ended_by_machine(frame)).all():
+    states = run_states(frame, str(runs))
+    assert states is not None  # it has a status
+    ok, failed = states
+    if not (ok | failed).any():
         return None, f"the machine ended every run in {runs}: that tells nothing of where one fails."
-    frame = frame[~lost]  # what the machine ended tells nothing of the simulator
-    ok = finished(frame)
     x = input_values(frame[list(box.names)], str(runs))
-    model = learn(box, x[ok], x[~ok])
+    model = learn(box, x[ok], x[failed])
     if model is None:
         if not ok.any():
             return None, f"no run in {runs} finished: nothing tells where one would; the design is spread over the whole box."
-        return None, f"{int((~ok).sum())} failed runs in {runs}: fewer than {FEWEST_FAILURES} teach nothing."
+        return None, f"{int(failed.sum())} failed runs in {runs}: fewer than {FEWEST_FAILURES} teach nothing."
     return model.accept, model.describe()

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from lacli.cli.console import out, print_json, print_table, progress
-from lacli.cli.tables import Inputs, Json, Names, Outputs, Seed, read, superseded
+from lacli.cli.tables import BoxFile, Inputs, Json, Linear, Names, Outputs, Seed, logarithmic, read, superseded
 
 
 def command(
@@ -19,6 +19,8 @@ def command(
     folds: Annotated[int, typer.Option(min=2, help="Folds of the cross-validation.")] = 5,
     starts: Annotated[int, typer.Option(min=1, help="Starting points of each fit.")] = 3,
     figures: Annotated[bool, typer.Option(help="Draw predicted against simulated beside the emulators.")] = True,
+    box_file: BoxFile = None,
+    linear: Linear = None,
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
@@ -34,14 +36,13 @@ def command(
 
     check_file(file)
     table = read(inputs, outputs, names)
+    options: dict[str, Any] = {"starts": starts, "seed": seed, "may_log": logarithmic(table, box_file, linear)}
     with progress() as bar, one_thread():
         task = bar.add_task("cross-validation", total=len(table.outputs) * folds)
-        scores = cross_validate(table, count=folds, starts=starts, seed=seed, tick=lambda: bar.advance(task))
+        scores = cross_validate(table, count=folds, tick=lambda: bar.advance(task), **options)
         task = bar.add_task("emulators", total=len(table.outputs))
-        emulators = EmulatorSet(
-            table.inputs, tuple(fit_emulators(table, starts=starts, seed=seed, tick=lambda: bar.advance(task)))
-        )
-    save_emulators(file, emulators, emulators_identity(table, starts=starts, seed=seed))
+        emulators = EmulatorSet(table.inputs, tuple(fit_emulators(table, tick=lambda: bar.advance(task), **options)))
+    save_emulators(file, emulators, emulators_identity(table, **options))
     superseded(file.parent, file.with_suffix(".png").name)
     pictures = []
     if figures:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from lacli.base.errors import AnatomyError, UsageError
-from lacli.cli.console import out, print_json, print_table, progress
+from lacli.cli.console import err, out, print_json, print_table, progress
 
 
 def command(
@@ -52,7 +52,8 @@ def command(
         volume = image.read(ct)
         anatomy = None if bundle is None else load(bundle)
         bar.update(task, advance=1, description="blood pool")
-        pool = _pool(labels, la, anatomy)
+        pool, notes = _pool(labels, la, anatomy)
+        notes = [*(f"{ct}: {note}" for note in volume.doubts(pool.points.mean(axis=0))), *notes]
         found = {}
         for window in fat.WINDOWS:
             bar.update(task, advance=1, description=f"fat, {window} window")
@@ -60,7 +61,9 @@ def command(
                 found[window] = fat.segment(volume, pool, anatomy, window, reach_mm)
         bar.update(task, advance=1, description="mesh")
         with storing(folder):
-            report = _save(found, folder, ct, reach_mm)
+            report = _save(found, folder, ct, reach_mm, notes)
+    for note in notes:
+        err.print(f"note: {note}", highlight=False, soft_wrap=True)
     if as_json:
         print_json({**report, "folder": str(folder)})
         return
@@ -78,7 +81,8 @@ def command(
     out.print(f"written: {folder} ({', '.join(report['files'])})", highlight=False)
 
 
-def _pool(labels: Path | None, la: int | None, anatomy: Any) -> Any:
+def _pool(labels: Path | None, la: int | None, anatomy: Any) -> tuple[Any, list[str]]:
+    """The blood pool's surface, and notes on its image."""
     import numpy as np
 
     from lacli.anatomy.inputs import extraction, image
@@ -87,17 +91,18 @@ def _pool(labels: Path | None, la: int | None, anatomy: Any) -> Any:
     if labels is not None:
         from lacli.cli.mesh import la_label, naming
 
-        map_ = image.read(labels)
+        map_ = image.read_labels(labels)
         with naming(labels):
             label = la_label(labels, image.label_volumes(map_), la)
-            return extraction.surface_of(extraction.blood_pool(map_, label).mask)
+            blood = extraction.blood_pool(map_, label)
+            return extraction.surface_of(blood.mask), [f"{labels}: {note}" for note in blood.notes]
     from lacli.geometry.subdivision import straight
 
-    triangles = straight(anatomy.triangles[(anatomy.tags == 1) | (anatomy.tags >= 21)])[:, ::-1].copy()
-    return compact(Surface(anatomy.points, triangles, np.zeros(len(triangles), dtype=np.int64)))
+    triangles = straight(anatomy.cavity_triangles())[:, ::-1].copy()
+    return compact(Surface(anatomy.points, triangles, np.zeros(len(triangles), dtype=np.int64))), []
 
 
-def _save(found: dict[str, Any], folder: Path, ct: Path, reach: float) -> dict[str, Any]:
+def _save(found: dict[str, Any], folder: Path, ct: Path, reach: float, notes: list[str]) -> dict[str, Any]:
     import json
 
     import meshio
@@ -111,6 +116,7 @@ def _save(found: dict[str, Any], folder: Path, ct: Path, reach: float) -> dict[s
     report: dict[str, Any] = {
         "ct": str(ct),
         "within_mm": reach,
+        "notes": notes,
         "windows": {
             w: {
                 "hu": list(fat.WINDOWS[w]),

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
+import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -56,26 +59,30 @@ def run() -> None:
         code = _code_of_the_command()
     finally:
         signals.settle()
-    sys.exit(code)
+    signals.leave(code)
 
 
 def _code_of_the_command() -> int:
     from lacli.base.errors import LacliError
     from lacli.cli.console import fail
 
+    warnings.filterwarnings("ignore", category=FutureWarning)  # what libraries plan is for us to read
     # completion asks for options of any command, so it sees them all
     completing = any(key.startswith("_") and key.endswith("_COMPLETE") for key in os.environ)
     known = set(commands())
     called = known if completing else known & set(sys.argv[1:])
     try:
         try:
-            build(called)()
+            with _caches():
+                build(called)()
         except SystemExit as ended:
             sys.stdout.flush()  # here, where a full disk can still be told
             return ended.code if isinstance(ended.code, int) else int(bool(ended.code))
     except LacliError as error:
         fail(error)
         return error.exit_code
+    except BrokenPipeError:
+        return 141  # whoever read our output has enough of it
     except OSError as error:
         from lacli.base.machine import FULL, full_words
 
@@ -89,6 +96,23 @@ def _code_of_the_command() -> int:
             fail(LacliError(text))
         return 1
     return 0
+
+
+@contextlib.contextmanager
+def _caches() -> Iterator[None]:
+    """A home that does not exist is not made, by us or by libraries: what they would keep there is kept for this call."""
+    home = Path("~").expanduser()
+    if "XDG_CACHE_HOME" in os.environ or home.is_dir():
+        yield
+        return
+    import tempfile
+
+    from lacli.base.notes import note
+
+    note(f"the home folder {home} does not exist: compiled code is made anew by each call. Set XDG_CACHE_HOME to keep it.")
+    with tempfile.TemporaryDirectory(prefix="lacli-cache-") as folder:
+        os.environ |= {"XDG_CACHE_HOME": folder, "MPLCONFIGDIR": folder}
+        yield
 
 
 def _full_place() -> str:

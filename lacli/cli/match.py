@@ -3,13 +3,32 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from lacli.base.errors import LacliError, UsageError
 from lacli.cli.console import err, out, print_json, print_table
-from lacli.cli.tables import BoxFile, Emulators, Inputs, Json, Names, Outputs, Seed, box_of, fitted, selected, superseded
+from lacli.cli.tables import (
+    BoxFile,
+    Emulators,
+    Inputs,
+    Json,
+    Names,
+    Outputs,
+    Seed,
+    box_of,
+    covered,
+    fitted,
+    selected,
+    superseded,
+    warn,
+)
+
+if TYPE_CHECKING:
+    from lacli.base.arrays import FloatArray
+    from lacli.inference.box import Box
+    from lacli.inference.matching import Wave
 
 
 def command(
@@ -43,10 +62,11 @@ def command(
     from lacli.inference.emulation.emulator_set import load_emulators
     from lacli.inference.matching import Region, Wave, match, next_runs, ruled_out_by
     from lacli.inference.nroy import EmptyRegionError
+    from lacli.inference.verdict import judge
 
     check_folder(folder)
     targets = read_targets(targets_file)
-    emulators, table = fitted(inputs, outputs, names or list(targets.names), emulators_file, seed)
+    emulators, table = fitted(inputs, outputs, names or list(targets.names), emulators_file, seed, box_file)
     targets = targets.select(emulators.outputs)
     box = box_of(emulators, box_file, table)
     waves = []
@@ -58,17 +78,21 @@ def command(
         waves.append(Wave(before, targets.widened(before.error_sd), earlier_threshold))
     wave = Wave(emulators, targets.widened(emulators.error_sd), threshold)
     region = Region(box, (*waves, wave))
+    existing = table.x if table is not None else emulators.training_inputs()
+    outside = covered(box, existing, _open_to(box, waves))
     try:
         with err.status("matching") as status:
             found = match(region, count, seed=seed, tick=lambda t: status.update(f"matching (level {t:.3g}; 1 is the region)"))
     except EmptyRegionError as error:
+        reach = judge(emulators, wave.targets, box, error.best, threshold)
+        for text in reach.warnings():
+            warn(text)
         raise LacliError(
             "nothing is left: at the nearest point of the box, " + ruled_out_by(wave, error.best[None])
             + ". Check the targets' units and standard deviations, or widen the box."
         ) from error  # fmt: skip
     folder.mkdir(parents=True, exist_ok=True)
     superseded(folder, "nroy.csv", "next.csv", "region.png", "outputs.png")
-    existing = table.x if table is not None else emulators.training_inputs()
     write_identity(
         folder / "identity.json", identify("result", region=region, count=count, seed=seed, runs=existing, following=following)
     )
@@ -88,7 +112,7 @@ def command(
             outputs_figure([(f"{emulators.runs} runs", emulators, found.sample.points)], targets, folder / "outputs.png"),
         ]
     result = {
-        "share": found.share, "share_sd": found.share_sd, "threshold": threshold, "sampled": len(points),
+        "share": found.share, "share_sd": found.share_sd, "outside_runs": outside, "threshold": threshold, "sampled": len(points),
         "acceptance": found.sample.acceptance, "correlation": found.sample.correlation, "pictures": [str(p) for p in pictures],
     }  # fmt: skip
     if as_json:
@@ -100,3 +124,15 @@ def command(
         [[n, float(points[n].min()), float(points[n].max()), float(points[n].mean()), float(points[n].std())] for n in box.names],
     )
     out.print(f"Sample, next runs and figures in {folder}", highlight=False, soft_wrap=True)
+
+
+def _open_to(box: Box, waves: list[Wave]) -> FloatArray | None:
+    """Points (m, d) of the box that the earlier waves have not ruled out; None (the whole box) without waves."""
+    import numpy as np
+
+    from lacli.inference.matching import Region
+
+    if not waves:
+        return None
+    points = box.uniform(1 << 15, np.random.default_rng(0))
+    return points[Region(box, tuple(waves)).contains(points)]

@@ -3,13 +3,30 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lacli.base.errors import UsageError
+from lacli.base.errors import LacliError, UsageError
 from lacli.cli.console import err, out, print_json, print_table, progress
-from lacli.cli.tables import BoxFile, Emulators, Fresh, Inputs, Json, Names, Outputs, Seed, box_of, fitted, superseded
+from lacli.cli.tables import (
+    BoxFile,
+    Emulators,
+    Fresh,
+    Inputs,
+    Json,
+    Names,
+    Outputs,
+    Seed,
+    box_of,
+    covered,
+    fitted,
+    superseded,
+    warn,
+)
+
+if TYPE_CHECKING:
+    from lacli.inference.posterior import Chain
 
 
 def command(
@@ -19,7 +36,9 @@ def command(
     names: Names = None,
     emulators_file: Emulators = None,
     prior: Annotated[str, typer.Option(help="nroy: uniform on what history matching leaves; box: uniform on the box.")] = "nroy",
-    threshold: Annotated[float, typer.Option(min=0.1, help="Implausibility from which the nroy prior is zero.")] = 3.0,
+    threshold: Annotated[
+        float, typer.Option(min=0.1, help="Implausibility from which the nroy prior is zero, and an answer fails.")
+    ] = 3.0,
     box_file: BoxFile = None,
     ess: Annotated[float, typer.Option(min=1, help="Effective samples asked for, of every input.")] = 5000,
     rhat: Annotated[float, typer.Option(min=1, help="R-hat asked for.")] = 1.01,
@@ -42,16 +61,21 @@ def command(
     from lacli.contracts.targets import read_targets
     from lacli.inference import posterior as mcmc
     from lacli.inference.arviz_file import write_inference_data
+    from lacli.inference.coverage import TOO_MUCH, WORTH_SAYING, unvisited
     from lacli.inference.likelihood import Density
     from lacli.inference.matching import Region, Wave
+    from lacli.inference.nroy import EmptyRegionError
+    from lacli.inference.verdict import judge
 
     if prior not in ("nroy", "box"):
         raise UsageError(f"--prior {prior}: must be nroy or box.")
     check_folder(folder)
     targets = read_targets(targets_file)
-    emulators, table = fitted(inputs, outputs, names or list(targets.names), emulators_file, seed)
+    emulators, table = fitted(inputs, outputs, names or list(targets.names), emulators_file, seed, box_file)
     targets = targets.select(emulators.outputs).widened(emulators.error_sd)
     region = Region(box_of(emulators, box_file, table))
+    runs = emulators.training_inputs()
+    outside = covered(region.box, runs)
     if prior == "nroy":
         region = region.add(Wave(emulators, targets, threshold))
     density = Density(emulators, targets, region)
@@ -77,15 +101,25 @@ def command(
             expected = steps if worst != worst else min(steps, max(chain.steps, int(chain.steps * ess / max(worst, 1.0))))
             bar.update(task, completed=chain.steps, total=expected, description=text)
 
-        chain = mcmc.sample_posterior(density, settings, previous=previous, keep=keep)
+        try:
+            chain = mcmc.sample_posterior(density, settings, previous=previous, keep=keep)
+        except EmptyRegionError as error:
+            for text in judge(emulators, targets, region.box, error.best, threshold).warnings():
+                warn(text)
+            raise LacliError(
+                "no point of the box agrees with all targets. Check their units and standard deviations, or widen the box."
+            ) from error
     best, log_prob = mcmc.maximum(density, chain)
     summary = mcmc.summary(chain, best)
+    strayed = float(unvisited(chain.flat(), runs).mean())
+    verdict = judge(emulators, targets, region.box, best, threshold, chain.flat())
     with replacing(folder / "summary.csv") as temporary:
         pd.DataFrame(summary).to_csv(temporary, index=False)
     write_inference_data(folder / "posterior.nc", chain)
     result: dict[str, Any] = {
         "converged": chain.converged, "steps": chain.steps, "samples": len(chain.flat()), "acceptance": chain.acceptance,
         "rhat": float(chain.rhat.max()), "ess": float(chain.ess.min()), "log_posterior_at_map": log_prob, "inputs": summary,
+        "fit": verdict.document(), "outside_runs": {"box": outside, "posterior": strayed},
     }  # fmt: skip
     write_json(folder / "summary.json", result)
     if figures:
@@ -100,9 +134,24 @@ def command(
             f" ESS {chain.ess.min():.0f} (asked {ess:.0f})."
             " Run again with a larger --steps to go on from here.", highlight=False, soft_wrap=True,
         )  # fmt: skip
+    for text in verdict.warnings():
+        warn(text)
+    if strayed > WORTH_SAYING:
+        warn(f"{strayed:.1%} of the posterior lies where no run has been: the emulators extrapolate there.")
     if as_json:
         print_json(result)
-        return
+    else:
+        _show(chain, summary, folder)
+    if not verdict.plausible:
+        raise LacliError(
+            "the most probable point misses a target by more than the threshold, so this posterior tells nothing of the patient."
+            " Check the targets' units and standard deviations, or widen the box."
+        )
+    if strayed > TOO_MUCH:
+        raise LacliError("this posterior lies where no run has been. Add runs there, or narrow the box to the runs' ranges.")
+
+
+def _show(chain: Chain, summary: list[dict[str, Any]], folder: Path) -> None:
     print_table(
         f"Posterior ({len(chain.flat()):,} samples, ESS {chain.ess.min():.0f}, R-hat {chain.rhat.max():.3f})",
         ["input", "mean", "sd", "2.5 %", "97.5 %", "most probable"],

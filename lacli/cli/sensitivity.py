@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from lacli.base.errors import UsageError
-from lacli.cli.console import err, out, print_json, print_table
-from lacli.cli.tables import BoxFile, Emulators, Inputs, Json, Names, Outputs, Seed, box_of, fitted, superseded
+from lacli.cli.console import out, print_json, print_table, progress
+from lacli.cli.tables import BoxFile, Emulators, Inputs, Json, Names, Outputs, Seed, box_of, covered, fitted, superseded
 
 
 def command(
@@ -38,10 +38,12 @@ def command(
     if count < 2 or count & (count - 1):
         raise UsageError(f"-n {count}: must be a power of two (a Sobol' sequence is balanced only there).")
     check_folder(folder)
-    emulators, table = fitted(inputs, outputs, names, emulators_file, seed)
+    emulators, table = fitted(inputs, outputs, names, emulators_file, seed, box_file)
     box = box_of(emulators, box_file, table)
-    with err.status("Sobol' indices"):
-        s = emulator_indices(emulators, box.lower, box.upper, count, draws=draws, seed=seed)
+    outside = covered(box, emulators.training_inputs())
+    with progress() as bar:
+        task = bar.add_task("Sobol' indices", total=len(emulators.outputs))
+        s = emulator_indices(emulators, box.lower, box.upper, count, draws=draws, seed=seed, tick=lambda: bar.advance(task))
     rank = s.ranking()
     rows = [
         {
@@ -79,6 +81,7 @@ def command(
                 "ranking": [{"input": emulators.inputs[j], "share": rank[j]} for j in order],
                 "indices": rows,
                 "second_order": pairs,
+                "outside_runs": outside,
                 "pictures": [str(p) for p in pictures],
             }
         )

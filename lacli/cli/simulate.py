@@ -81,9 +81,11 @@ def command(
 
 def _run(scene: Scene, root: Path) -> tuple[Any, bool]:
     """The run's result, and whether it was there already."""
+    from lacli.base.files import check_folder
     from lacli.cli.live import LiveLine
     from lacli.mechanics.simulation import run_scene
 
+    check_folder(root)
     before = find_run(root, run_key(scene))
     with LiveLine() as line:
         result = run_scene(scene, root, on_progress=line)

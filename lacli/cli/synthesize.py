@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from pathlib import Path
@@ -10,7 +9,8 @@ from typing import Annotated, Any
 
 import typer
 
-from lacli.base.errors import AnatomyError, UsageError
+from lacli.base.documents import read_json
+from lacli.base.errors import AnatomyError, InputError, UsageError
 from lacli.cli.console import print_json, print_table, progress
 
 KEY = "synthesis"  # in anatomy.json: what a folder was made from, so that a rerun knows a finished one
@@ -134,12 +134,11 @@ def _gated(
             made_from = {"seed": number, "atrium": wanted, "acquisition": asdict(acquisition), "parameters": parameters}
             info = gated_case.finished(folder, made_from)
             if info is None:
-                info = gated_case.write_case(
-                    folder, number, wanted, parameters, acquisition, rate,
-                    lambda what, done, total, name=folder.name: bar.update(
-                        task, description=f"{name}: {what}", completed=done, total=total
-                    ),
-                )  # fmt: skip
+
+                def monitor(what: str, done: int, total: int, name: str = folder.name) -> None:
+                    bar.update(task, description=f"{name}: {what}", completed=done, total=total)
+
+                info = gated_case.write_case(folder, number, wanted, parameters, acquisition, rate, monitor)
             rows.append({"folder": str(folder), **info})
     if as_json:
         print_json(rows)
@@ -152,7 +151,7 @@ def _gated(
 
 
 def _parameters(given: list[str]) -> dict[str, float]:
-    from lacli.contracts.scene import parameter_box
+    from lacli.contracts.parameters import parameter_box
 
     result = {}
     for text in given:
@@ -234,9 +233,9 @@ def _finished(folder: Path, made_from: dict[str, Any]) -> dict[str, Any] | None:
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return None
     try:
-        info = json.loads((folder / "anatomy.json").read_text())
+        info = read_json(folder / "anatomy.json")
         same = info[KEY] == made_from
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (InputError, KeyError, TypeError) as error:
         raise AnatomyError(
             f"{folder} exists and was not written by `lacli synthesize`; choose another folder or remove it."
         ) from error

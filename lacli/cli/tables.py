@@ -12,17 +12,24 @@ from lacli.base.errors import UsageError
 from lacli.cli.console import err, progress
 
 if TYPE_CHECKING:
+    from lacli.base.arrays import BoolArray, FloatArray
     from lacli.contracts.table import RunTable
     from lacli.inference.box import Box
     from lacli.inference.emulation.emulator_set import EmulatorSet
 
 Inputs = Annotated[Path | None, typer.Option("--inputs", help="Table of inputs (CSV or Parquet), one run a row.")]
-Outputs = Annotated[Path | None, typer.Option("--outputs", help="Table of outputs, the same runs in the same order.")]
+Outputs = Annotated[
+    Path | None, typer.Option("--outputs", help="Table of outputs of the same runs: paired by run_id, else in the same order.")
+]
 Names = Annotated[list[str] | None, typer.Option("--output", help="Only this output; may be repeated.")]
 Emulators = Annotated[
     Path | None, typer.Option("--emulators", help="Emulators written by `lacli emulate`, instead of the tables.")
 ]
 BoxFile = Annotated[Path | None, typer.Option("--box", help="Ranges of the inputs (TOML: [box], name = [lower, upper]).")]
+Linear = Annotated[
+    list[str] | None,
+    typer.Option("--linear", help="Take this input as it is, never its logarithm (its range reaches 0); may be repeated."),
+]
 Fresh = Annotated[
     bool, typer.Option("--fresh", help="Where --out holds something else, start in a sub-folder of its own (fresh_1, ...).")
 ]
@@ -43,27 +50,55 @@ def read(inputs: Path | None, outputs: Path | None, names: list[str] | None) -> 
 
     if inputs is None or outputs is None:
         raise UsageError("give --inputs and --outputs (tables with a run in each row).")
-    table = read_runs(inputs, outputs, names)
+    with err.status("reading the tables"):
+        table = read_runs(inputs, outputs, names)
     for note in table.notes:
         err.print(f"note: {note}", highlight=False, soft_wrap=True)
     return table
 
 
 def fitted(
-    inputs: Path | None, outputs: Path | None, names: list[str] | None, emulators: Path | None, seed: int
+    inputs: Path | None,
+    outputs: Path | None,
+    names: list[str] | None,
+    emulators: Path | None,
+    seed: int,
+    box_file: Path | None = None,
 ) -> tuple[EmulatorSet, RunTable | None]:
-    """Emulators from a file, or fitted to the tables (then with the table)."""
+    """Emulators from a file, or fitted to the tables (then with the table): for the box of ``box_file``, if given."""
     from lacli.inference.emulation.emulator import fit_emulators
     from lacli.inference.emulation.emulator_set import EmulatorSet, load_emulators
 
     if emulators is not None:
+        if inputs is not None or outputs is not None:
+            raise UsageError("give either --emulators or --inputs and --outputs, not both.")
         loaded = load_emulators(emulators)
         return (selected(loaded, names, emulators) if names else loaded), None
     table = read(inputs, outputs, names)
+    may_log = logarithmic(table, box_file, None)
     with progress() as bar:
         task = bar.add_task("emulators", total=len(table.outputs))
-        result = fit_emulators(table, seed=seed, tick=lambda: bar.advance(task))
+        result = fit_emulators(table, seed=seed, tick=lambda: bar.advance(task), may_log=may_log)
     return EmulatorSet(table.inputs, tuple(result)), table
+
+
+def logarithmic(table: RunTable, box_file: Path | None, linear: list[str] | None) -> BoolArray:
+    """Inputs that may be taken as logarithms (d,): positive in the runs and in the box, and not named ``linear``.
+
+    Raises UsageError for a name that is no input.
+    """
+    import numpy as np
+
+    from lacli.inference.emulation.scales import may_be_logarithmic
+
+    unknown = [name for name in linear or [] if name not in table.inputs]
+    if unknown:
+        raise UsageError(f"--linear {', '.join(unknown)}: no input of the table; its inputs are {', '.join(table.inputs)}.")
+    found = may_be_logarithmic(table.x)
+    if box_file is not None:
+        box = box_of_inputs(table.inputs, box_file)
+        found &= may_be_logarithmic(np.vstack([table.x, box.lower, box.upper]))
+    return found & np.array([name not in (linear or []) for name in table.inputs])
 
 
 def selected(emulators: EmulatorSet, names: Sequence[str], file: Path) -> EmulatorSet:
@@ -74,6 +109,17 @@ def selected(emulators: EmulatorSet, names: Sequence[str], file: Path) -> Emulat
     return emulators.select(names)
 
 
+def box_of_inputs(names: Sequence[str], file: Path) -> Box:
+    """The box in the file, its inputs in this order. Raises UsageError where they are others."""
+    from lacli.inference.box import make_box, read_box
+
+    box = read_box(file)
+    if set(names) != set(box.names):
+        raise UsageError(f"{file}: must hold exactly the inputs {', '.join(names)}.")
+    order = [box.names.index(name) for name in names]
+    return make_box(names, box.lower[order].tolist(), box.upper[order].tolist())
+
+
 def box_of(emulators: EmulatorSet, file: Path | None, table: RunTable | None = None) -> Box:
     """The box of the inputs: the file's, else published ranges of known inputs and the runs' ranges of others.
 
@@ -81,21 +127,32 @@ def box_of(emulators: EmulatorSet, file: Path | None, table: RunTable | None = N
     """
     import numpy as np
 
-    from lacli.inference.box import read_box, table_box
+    from lacli.inference.box import table_box
 
     low, high = emulators.range()
     if file is None:
         return table_box(emulators.inputs, table.x if table is not None else np.vstack([low, high]))
-    box = read_box(file)
-    missing = [name for name in emulators.inputs if name not in box.names]
-    if missing or len(box.names) != len(emulators.inputs):
-        raise UsageError(f"{file}: must hold exactly the inputs {', '.join(emulators.inputs)}.")
+    box = box_of_inputs(emulators.inputs, file)
     logged = np.any([e.log_inputs for e in emulators.emulators], axis=0)
-    for name, takes_log in zip(emulators.inputs, logged, strict=True):
-        start = box.lower[box.names.index(name)]
+    for name, takes_log, start in zip(emulators.inputs, logged, box.lower, strict=True):
         if takes_log and start <= 0:
-            raise UsageError(f"{file}: {name} starts at {start:g}; an emulator takes its logarithm: it must be positive.")
-    order = [box.names.index(name) for name in emulators.inputs]
-    from lacli.inference.box import make_box
+            raise UsageError(
+                f"{file}: {name} starts at {start:g}; an emulator takes its logarithm: it must be positive. Or fit the emulators"
+                f" for this box: `lacli emulate --box {file}` (or --linear {name})."
+            )
+    return box
 
-    return make_box(emulators.inputs, box.lower[order].tolist(), box.upper[order].tolist())
+
+def covered(box: Box, runs: FloatArray, points: FloatArray | None = None) -> float:
+    """The share of the box (or of points of it) where no run has been, said on standard error; refused where it is nearly all."""
+    from lacli.inference.coverage import check_coverage
+
+    found = check_coverage(box, runs, points)
+    if words := found.words():
+        warn(words)
+    return found.share
+
+
+def warn(text: str) -> None:
+    """A warning on standard error."""
+    err.print(f"warning: {text}", highlight=False, soft_wrap=True)

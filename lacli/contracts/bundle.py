@@ -11,11 +11,16 @@ import meshio
 import numpy as np
 
 from lacli.base.arrays import FloatArray, IntArray
+from lacli.base.documents import read_json
 from lacli.base.errors import AnatomyError
-from lacli.contracts.labels import ENDO, EPI, OTHER, PLANES, REGIONS, RINGS
+from lacli.base.quiet import quiet, reason
+from lacli.contracts.labels import ENDO, EPI, OTHER, PLANES, REGIONS, RINGS, is_plane
 from lacli.geometry.quadrature import enclosed_volume_ml
 from lacli.geometry.tetrahedra import TET10_EDGES, boundary_faces
 
+LEAST_CAVITY_ML, MOST_CAVITY_ML = 0.9, 1500.0
+FURTHEST_MM = 1e5
+SAME_POINT_MM = 0.01
 # what we put into a bundle's folder: all of it is made again with the bundle, or of no use to a new one
 _OURS = frozenset(
     [
@@ -54,7 +59,7 @@ class Bundle:
 
     def cavity_triangles(self) -> IntArray:
         """Triangles of the closed cavity surface (endocardium and valve planes)."""
-        keep = (self.tags == ENDO) | np.isin(self.tags, list(PLANES.values()))
+        keep = (self.tags == ENDO) | is_plane(self.tags)
         return self.triangles[keep]
 
     def cavity_volume_ml(self) -> float:
@@ -64,7 +69,7 @@ class Bundle:
 
     def wall_volume_ml(self) -> float:
         """Volume of the wall and its rings, without the valve planes, curved faces included, mL."""
-        wall = self.tets[~np.isin(self.region, list(PLANES.values()))]
+        wall = self.tets[~is_plane(self.region)]
         corners, _ = boundary_faces(wall)
         return enclosed_volume_ml(corners if self.order == 1 else _with_middles(corners, wall), self.points)
 
@@ -120,14 +125,29 @@ def load(folder: Path) -> Bundle:
             raise AnatomyError(
                 f"{folder}: not an anatomy bundle, {file.name} is missing. `lacli synthesize` or `lacli mesh` writes one."
             )
+    info = read_json(info_file, error=AnatomyError)
+    if not isinstance(info, dict):
+        raise AnatomyError(f"{info_file}: the bundle cannot be read, it must hold a table of names and values. Write it again.")
     try:
-        wall = meshio.vtu.read(wall_file)  # meshio.read ends the whole program on a damaged file
-        boundary = pv.read(boundary_file)
-        info = json.loads(info_file.read_text())
-    except Exception as error:  # readers raise all sorts of things on damaged files
+        with quiet(meshio=True):
+            wall = meshio.vtu.read(wall_file)  # meshio.read ends the whole program on a damaged file
+            boundary = pv.read(boundary_file)
+    except (Exception, SystemExit) as error:  # readers raise all sorts of things on damaged files
         raise AnatomyError(
-            f"{folder}: the bundle cannot be read, a file is damaged ({type(error).__name__} {error}). Write it again."
+            f"{folder}: the bundle cannot be read, a file is damaged ({reason(error)}). Write it again."
         ) from error
+    try:
+        with quiet():
+            bundle = _assemble(wall, boundary, wall_file, boundary_file, info)
+    except (ValueError, TypeError, IndexError, OverflowError) as error:  # arrays of other shapes or types than ours
+        raise AnatomyError(
+            f"{folder}: the bundle cannot be read, an array is damaged ({reason(error)}). Write it again."
+        ) from error
+    check(bundle, str(folder))
+    return bundle
+
+
+def _assemble(wall: meshio.Mesh, boundary: Any, wall_file: Path, boundary_file: Path, info: dict[str, Any]) -> Bundle:
     kinds = [b.type for b in wall.cells]
     if len(kinds) != 1 or kinds[0] not in ("tetra", "tetra10"):
         raise AnatomyError(f"{wall_file}: expected one block of tetra or tetra10 cells, found {kinds}.")
@@ -137,9 +157,11 @@ def load(folder: Path) -> Bundle:
         raise AnatomyError(f"{wall_file}: the cell array 'region' is missing; write 1 everywhere if there is one region.")
     region = np.asarray(wall.cell_data["region"][0], dtype=np.int64).ravel()
     fibre = wall.cell_data["fibre"][0] if "fibre" in wall.cell_data else None
-    corners, tags = _read_boundary(boundary, boundary_file, len(points))
+    if tets.size == 0 or tets.min() < 0 or tets.max() >= len(points):
+        raise AnatomyError(f"{wall_file}: a cell names a point that does not exist, or there is none. Write the bundle again.")
+    corners, tags = _read_boundary(boundary, boundary_file, points)
     triangles = corners if tets.shape[1] == 4 else _with_middles(corners, tets)
-    bundle = Bundle(
+    return Bundle(
         points=points,
         tets=tets,
         region=region,
@@ -151,21 +173,30 @@ def load(folder: Path) -> Bundle:
         pericardium_coordinate=_optional(wall, "pericardium_coordinate"),
         info=info,
     )
-    check(bundle, str(folder))
-    return bundle
 
 
-def _read_boundary(surface: Any, file: Path, points: int) -> tuple[IntArray, IntArray]:
+def _read_boundary(surface: Any, file: Path, points: FloatArray) -> tuple[IntArray, IntArray]:
     """Corner point ids (t, 3) and tags (t,) of ``boundary.vtp``."""
     for data, name in ((surface.point_data, "wall_point"), (surface.cell_data, "tag")):
         if name not in data:
             raise AnatomyError(f"{file}: the array {name!r} is missing. Write the bundle again.")
     if not surface.n_cells or not surface.is_all_triangles:
         raise AnatomyError(f"{file}: expected triangles only, and at least one.")
-    ids = np.asarray(surface.point_data["wall_point"], dtype=np.int64)
-    if ids.min() < 0 or ids.max() >= points:
+    given = np.asarray(surface.point_data["wall_point"])
+    ids = given.astype(np.int64)
+    if ids.shape != (surface.n_points,) or np.any(ids != given) or ids.min() < 0 or ids.max() >= len(points):
         raise AnatomyError(f"{file}: 'wall_point' names a point that wall.vtu does not have.")
-    return ids[surface.faces.reshape(-1, 4)[:, 1:]], np.asarray(surface.cell_data["tag"], dtype=np.int64)
+    faces = surface.faces.reshape(-1, 4)[:, 1:]
+    if faces.min() < 0 or faces.max() >= len(ids):
+        raise AnatomyError(f"{file}: a triangle names a point that does not exist. Write the bundle again.")
+    apart = np.linalg.norm(np.asarray(surface.points, dtype=np.float64) - points[ids], axis=1)
+    if not np.all(apart <= SAME_POINT_MM):  # NaN too; single precision at some decimetres from the origin is 3e-5 mm
+        worst = int(np.argmax(np.where(np.isfinite(apart), apart, np.inf)))
+        raise AnatomyError(
+            f"{file}: point {worst} lies {apart[worst]:.3g} mm from its point {ids[worst]} of wall.vtu; "
+            f"{int((~(apart <= SAME_POINT_MM)).sum())} points differ. One of the files is damaged or of another bundle."
+        )
+    return ids[faces], np.asarray(surface.cell_data["tag"], dtype=np.int64)
 
 
 def _optional(mesh: meshio.Mesh, name: str) -> FloatArray | None:
@@ -196,6 +227,9 @@ def check(bundle: Bundle, where: str) -> None:
     if not np.isfinite(bundle.points).all():
         bad = int(np.flatnonzero(~np.isfinite(bundle.points).all(axis=1))[0])
         raise AnatomyError(f"{where}: point {bad} of the wall has a coordinate that is not finite (NaN or infinite).")
+    if np.abs(bundle.points).max(initial=0.0) > FURTHEST_MM:
+        furthest = np.abs(bundle.points).max()
+        raise AnatomyError(f"{where}: a point of the wall lies at {furthest:.3g} mm, further away than a heart can be.")
     if bundle.tets.min() < 0 or bundle.tets.max() >= len(bundle.points):
         raise AnatomyError(f"{where}: a cell names a point that does not exist.")
     a, b, c, d = (bundle.points[bundle.tets[:, i]] for i in range(4))
@@ -212,6 +246,8 @@ def check(bundle: Bundle, where: str) -> None:
     if unknown:
         raise AnatomyError(f"{where}: unknown region {unknown[0]}; the known ones are {sorted(allowed)}.")
     if bundle.fibre is not None:
+        if bundle.fibre.shape != (len(bundle.tets), 3):
+            raise AnatomyError(f"{where}: 'fibre' needs three components for each cell, its shape is {bundle.fibre.shape}.")
         norm = np.linalg.norm(bundle.fibre, axis=1)
         if not np.isfinite(norm).all() or np.any(np.abs(norm - 1) > 1e-3):
             raise AnatomyError(f"{where}: fibres must be finite unit vectors, one per cell.")
@@ -221,7 +257,8 @@ def check(bundle: Bundle, where: str) -> None:
         raise AnatomyError(f"{where}: unknown tag {unknown[0]} on the boundary; the known ones are {sorted(tags)}.")
     for name in ("transmural", "uac", "pericardium_coordinate"):
         value = getattr(bundle, name)
-        if value is not None and (len(value) != len(bundle.points) or not np.isfinite(value).all()):
+        shape = (len(bundle.points), 2) if name == "uac" else (len(bundle.points),)
+        if value is not None and (value.shape != shape or not np.isfinite(value).all()):
             raise AnatomyError(f"{where}: '{name}' needs one finite value for every point of the wall.")
     diameter = float(np.ptp(bundle.points, axis=0).max())
     if diameter > 1000:
@@ -229,6 +266,20 @@ def check(bundle: Bundle, where: str) -> None:
     if diameter < 1:
         raise AnatomyError(f"{where}: the wall is {diameter:.3g} mm wide; are the lengths metres? The bundle is in mm.")
     _check_connected(bundle, where)
+    _check_cavity(bundle, where, diameter)
+
+
+def _check_cavity(bundle: Bundle, where: str, diameter: float) -> None:
+    """The closed cavity's volume is an atrium's; centimetres and decimetres are told by it."""
+    volume = bundle.cavity_volume_ml()
+    if LEAST_CAVITY_ML <= volume <= MOST_CAVITY_ML:
+        return
+    if volume <= 0:
+        raise AnatomyError(f"{where}: the cavity's volume is {volume:.3g} mL; its boundary is turned inside out.")
+    units = (("metres", 1e3), ("decimetres", 100.0), ("inches", 25.4), ("centimetres", 10.0), ("micrometres", 1e-3))
+    fitting = [unit for unit, factor in units if 20.0 <= volume * factor**3 <= 600.0]
+    meant = f"are the lengths {' or '.join(fitting)}? The bundle is in mm" if fitting else "that is no left atrium in mm"
+    raise AnatomyError(f"{where}: the cavity has {volume:.3g} mL and the wall is {diameter:.3g} mm wide; {meant}.")
 
 
 def _check_connected(bundle: Bundle, where: str) -> None:

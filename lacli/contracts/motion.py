@@ -1,6 +1,6 @@
 """The motion of the mitral annulus as a file: ``motion.npz`` in a bundle's folder.
 
-Arrays: times (f,), wall_point (n,), positions (f, n, 3) mm, es_time.
+Arrays: times (f,), wall_point (n,), positions (f, n, 3) mm, es_time. Other arrays in the file are not read.
 """
 
 from __future__ import annotations
@@ -12,9 +12,17 @@ import numpy as np
 
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import InputError
-from lacli.base.files import DAMAGED
+from lacli.base.schema import Array, array_file, unfit
 
 FILE = "motion.npz"
+# a position further than this from the image's origin is no millimetre
+_FARTHEST = 1e5
+_SCHEMA = {
+    "times": Array(shape=("f",), rising=True),
+    "wall_point": Array("int", ("n",), least=0, distinct=True),
+    "positions": Array(shape=("f", "n", 3), least=-_FARTHEST, most=_FARTHEST),
+    "es_time": Array(least=0.0, most=1.0, open_=True),
+}
 
 
 @dataclass(frozen=True)
@@ -50,21 +58,8 @@ def load_motion(folder: Path) -> Motion:
     file = folder / FILE
     if not file.is_file():
         raise InputError(f"{file}: no such file. `lacli synthesize` writes one; without it the annulus stays in place.")
-    try:
-        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
-            motion = Motion(
-                np.asarray(data["times"], dtype=np.float64),
-                np.asarray(data["wall_point"], dtype=np.int64),
-                np.asarray(data["positions"], dtype=np.float64),
-                float(data["es_time"]),
-            )
-    except DAMAGED as error:
-        raise InputError(f"{file}: cannot be read as a motion ({type(error).__name__}: {error}).") from error
-    f, n = len(motion.times), len(motion.wall_point)
-    if motion.positions.shape != (f, n, 3):
-        raise InputError(f"{file}: positions are {motion.positions.shape}, expected ({f}, {n}, 3).")
-    if f < 2 or motion.times[0] != 0 or np.any(np.diff(motion.times) <= 0) or motion.times[-1] >= 1:
-        raise InputError(f"{file}: times must rise from 0 and stay below 1.")
-    if not (np.isfinite(motion.positions).all() and 0 < motion.es_time < 1):
-        raise InputError(f"{file}: a position is not finite, or es_time is not between 0 and 1.")
-    return motion
+    with array_file(file, "a motion", "Write the bundle again, or remove the file: the annulus then stays in place.") as arrays:
+        a = arrays.read(_SCHEMA)
+        if len(a["times"]) < 2 or a["times"][0] != 0 or a["times"][-1] >= 1:
+            raise unfit("times must rise from 0 and stay below 1")
+    return Motion(a["times"], a["wall_point"], a["positions"], float(a["es_time"]))

@@ -172,7 +172,8 @@ class MotionSettings(_Frozen):
 
     place = "motion"
     annulus: Literal["bundle", "axial", "none"] = Field(
-        "bundle", description="motion of the mitral annulus: the frames of the bundle, a rigid descent along its axis, or none"
+        default="bundle",
+        description="motion of the mitral annulus: the frames of the bundle, a rigid descent along its axis, or none",
     )
     amplitude_mm: Number = _default("motion.amplitude_mm")
     es_time: Number = _default("motion.es_time")
@@ -195,10 +196,11 @@ class Numerics(_Frozen):
     quadrature: Literal[4, 14] = Field(default=4, description="quadrature points of a cell")
     kappa_points_kpa: Number = _default("numerics.kappa_points_kpa")
     unloading: Literal["prestrain", "backward"] = Field(
-        "prestrain", description="how end-diastole is found: strain that balances EDP in the image, or backward displacement"
+        default="prestrain",
+        description="how end-diastole is found: strain that balances EDP in the image, or backward displacement",
     )
     settle_ed: bool = Field(
-        False, description="whether an unstable end-diastole settles into the nearest stable one before it fills"
+        default=False, description="whether an unstable end-diastole settles into the nearest stable one before it fills"
     )
     engine: Literal["auto", "plugin", "script"] = Field(
         default="auto",
@@ -219,14 +221,15 @@ class Outputs(_Frozen):
     frames: int = _default("outputs.frames")
     conduit: bool = Field(default=False, description="whether the conduit phase after end-systole is simulated")
     fields: Literal["none", "es", "all"] = Field(
-        "es", description="states written as VTU files: none, end-diastole and end-systole, or every frame"
+        default="es", description="states written as VTU files: none, end-diastole and end-systole, or every frame"
     )
     strain: bool = Field(
-        False, description="whether features of the wall's cells are added: fibre strain and change of thickness by region"
+        default=False,
+        description="whether features of the wall's cells are added: fibre strain and change of thickness by region",
     )
     unloaded: bool = Field(default=True, description="whether the wall without pressure is sought too, and its volume")
     sensitivities: bool = Field(
-        False, description="whether the derivatives of the features by the inputs of the study are written too"
+        default=False, description="whether the derivatives of the features by the inputs of the study are written too"
     )
 
 

@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from lacli.base.arrays import BoolArray, FloatArray
+from lacli.base.arrays import FloatArray
 from lacli.base.errors import TableError, UsageError
-from lacli.contracts.failures import MACHINE
+from lacli.contracts import table_checks as checks
+from lacli.contracts.table_columns import (
+    ERROR_SUFFIX,
+    STATUS,
+    derivative_of,
+    error_of,
+    input_values,
+    is_bookkeeping,
+    is_label,
+    numbers,
+    run_states,
+)
+from lacli.contracts.table_file import listed, read_frame
+from lacli.contracts.table_pairing import check_shared_columns, pair
 
-STATUS = "status"
-OK_STATUS = {"ok", "done", "success", "converged", "true", "1"}
-ERROR_SUFFIX = "_discretisation_error"
-_PARQUET = (".parquet", ".pq")
-# before 3.1, pandas does not read every float's digits back to the same float on its own; since then the wish is deprecated
-_EXACT: dict[str, Any] = {} if tuple(map(int, pd.__version__.split(".")[:2])) >= (3, 1) else {"float_precision": "round_trip"}
-# bookkeeping columns that are neither inputs nor outputs
-IGNORED = {STATUS, "run", "run_id", "id", "key", "failure", "kind", "cpu_s", "wall_s", "wave", "Unnamed: 0"}
-IGNORED |= {"attempts", "message", "peak_memory_mb"}
+__all__ = ["ERROR_SUFFIX", "STATUS", "RunTable", "combine", "fewest_runs", "input_values", "is_bookkeeping", "read_frame"]
+# an emulator's fit takes time as the cube of the runs, memory as the square: 2,000 take minutes and 0.2 GB an output
+MOST_RUNS = 2_000
+_THINNING_SEED = 0
 
 
 @dataclass(frozen=True)
@@ -52,99 +58,9 @@ class RunTable:
         """The same runs with only the named outputs, in that order."""
         missing = [name for name in outputs if name not in self.outputs]
         if missing:
-            raise UsageError(f"no output {_list(missing)} in the table; it has {_list(self.outputs)}.")
+            raise UsageError(f"no output {listed(missing)} in the table; it has {listed(self.outputs)}.")
         j = [self.outputs.index(name) for name in outputs]
         return RunTable(self.inputs, tuple(outputs), self.x, self.y[:, j], self.error_sd[:, j], self.failed_x, self.notes)
-
-
-def _list(names: Sequence[str]) -> str:
-    return ", ".join(str(name) for name in names)
-
-
-def read_frame(path: Path) -> pd.DataFrame:
-    """Read a CSV or Parquet table.
-
-    Raises TableError if the file is missing, empty or not a table with unique column names.
-    """
-    path = Path(path)
-    if not path.is_file():
-        raise TableError(f"{path}: no such table. Give a .csv or .parquet file with one run a row.")
-    try:
-        if path.suffix.lower() in _PARQUET:
-            frame = pd.read_parquet(path)
-        else:
-            with warnings.catch_warnings():  # cells beyond the header's would be dropped, or else taken as names of the rows
-                warnings.simplefilter("error", pd.errors.ParserWarning)
-                frame = pd.read_csv(path, skipinitialspace=True, index_col=False, **_EXACT)
-    except pd.errors.ParserWarning as error:
-        raise TableError(
-            f"{path}: the rows have more cells than the header line. Separate columns by commas, write decimals with points."
-        ) from error
-    except Exception as error:
-        raise TableError(f"{path}: cannot be read as a table ({error}). Use CSV with a header line, or Parquet.") from error
-    frame.columns = [str(name).strip() for name in frame.columns]
-    if frame.empty or frame.shape[1] == 0:
-        raise TableError(f"{path}: the table is empty. It needs a header line and one run a row.")
-    twice = frame.columns[frame.columns.duplicated()].tolist()
-    twice += [name for name in frame.columns if name.endswith(".1") and name[:-2] in frame.columns]
-    if twice:
-        raise TableError(f"{path}: column {_list(twice)} occurs twice. Rename or remove one.")
-    headings = [name for name in frame.columns if _is_number(name)]
-    if len(headings) == len(frame.columns):
-        raise TableError(f"{path}: the first line holds numbers, not column names. Add a header line with names and units.")
-    return frame
-
-
-def finished(frame: pd.DataFrame) -> BoolArray:
-    """Whether each row (n,) is marked as a run that ended well; all are where there is no status."""
-    if STATUS not in frame.columns:
-        return np.ones(len(frame), bool)
-    return np.asarray(frame[STATUS].astype(str).str.strip().str.lower().isin(OK_STATUS), bool)
-
-
-def ended_by_machine(frame: pd.DataFrame) -> BoolArray:
-    """Whether each row (n,) is a run that the machine ended (killed, out_of_memory, ...): it has no result."""
-    lost = np.zeros(len(frame), bool)
-    for name in (STATUS, "kind", "failure"):
-        if name in frame.columns:
-            lost |= frame[name].astype(str).str.strip().str.lower().isin(list(MACHINE)).to_numpy(bool)
-    return lost & ~finished(frame) if STATUS in frame.columns else lost
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _numbers(frame: pd.DataFrame, what: str) -> pd.DataFrame:
-    """The frame as floats; text in a cell is an error that names the cell."""
-    columns = {}
-    for name in frame.columns:
-        values = pd.to_numeric(frame[name], errors="coerce")
-        bad = (
-            values.isna() & frame[name].notna() & ~frame[name].astype(str).str.strip().str.lower().isin(["nan", "", "na", "none"])
-        )
-        if bad.any():
-            row = int(np.flatnonzero(bad.to_numpy())[0])
-            raise TableError(f"{what}: column {name}, row {row + 1} holds {frame[name].iloc[row]!r}, which is not a number.")
-        columns[name] = values.astype(float)
-    return pd.DataFrame(columns)
-
-
-def input_values(frame: pd.DataFrame, where: str) -> FloatArray:
-    """The inputs of runs as numbers (n, d). Raises TableError that names the cell that holds no finite one."""
-    x = _numbers(frame, f"{where}: inputs").to_numpy(float)
-    bad = np.argwhere(~np.isfinite(x))
-    if len(bad):
-        row, column = bad[0]
-        raise TableError(
-            f"{where}: input {frame.columns[column]} has no finite value in row {row + 1}"
-            f" ({len(bad)} such cells). Fill it in or remove the run."
-        )
-    return x
 
 
 def combine(
@@ -154,67 +70,51 @@ def combine(
     output_names: Sequence[str] | None = None,
     input_names: Sequence[str] | None = None,
     where: str = "table",
+    most: int = MOST_RUNS,
 ) -> RunTable:
     """Check two frames with a row for each run and make a RunTable of them.
 
-    A row fails if its ``status`` (in either frame) is not ok, or an output is missing or not finite: failures are
-    kept as places where the simulator fails. Columns that never vary are set aside with a note; a row that repeats
-    another in inputs and outputs is dropped with a note.
+    Rows are paired by a label that both frames have (``table_pairing``). A run fails if its ``status`` (in either frame)
+    says so, or an output is missing, not finite, or a mark of failure (1e20 where others are near 1): failures are kept as
+    places where the simulator fails. Runs that never finished are left out. Columns that never vary are set aside with a
+    note; a run that repeats another in inputs and outputs is used once; of more than ``most`` runs, that many are drawn at
+    random (the same every time). ``<output>_error`` or ``_sd`` beside an output is its error.
 
-    Raises TableError for a missing input value, unequal lengths, names not found, or too few finished runs.
+    Raises TableError for a missing input value, rows that do not pair, words of status that are not known, names not
+    found, columns of no numbers, inputs that depend on each other, or too few finished runs.
     """
     notes: list[str] = []
-    if len(inputs) != len(outputs):
-        raise TableError(f"{where}: {len(inputs)} rows of inputs but {len(outputs)} rows of outputs; each run needs one of each.")
-    lost_rows = ended_by_machine(inputs) | ended_by_machine(outputs)
-    if lost_rows.any():
-        notes.append(
-            f"{int(lost_rows.sum())} run(s) that the machine ended ({_list(list(MACHINE))}) are left out: they are no results."
-        )
-        inputs, outputs = inputs[~lost_rows], outputs[~lost_rows]
-    status_ok = finished(inputs) & finished(outputs)
-    x_frame = inputs[_named(inputs, input_names, f"{where}: input")]
+    if inputs is not outputs:
+        inputs, outputs, notes = pair(inputs, outputs, where)
+    done = np.ones(len(inputs), bool)
+    failed = np.zeros(len(inputs), bool)
+    for frame in (inputs,) if inputs is outputs else (inputs, outputs):
+        if (states := run_states(frame, where)) is not None:
+            done &= states[0]
+            failed |= states[1]
+    x_frame = inputs[_inputs(inputs, input_names, where, notes)]
     x = input_values(x_frame, where)
-    y_frame = _numbers(outputs[_named(outputs, output_names, f"{where}: output")], f"{where}: outputs")
+    names = _outputs(outputs, output_names, where, notes)
+    y_frame = numbers(outputs[names], f"{where}: outputs")
     shared = [name for name in y_frame.columns if name in x_frame.columns]
     if shared:
-        raise TableError(f"{where}: {_list(shared)} is both an input and an output; name the outputs wanted.")
+        raise TableError(f"{where}: {listed(shared)} is both an input and an output; name the outputs wanted.")
+    check_shared_columns(inputs, outputs, where)
     y = y_frame.to_numpy(float)
-    finite = np.isfinite(y).all(1)
-    if (lost := int((status_ok & ~finite).sum())) > 0:
-        notes.append(f"{lost} run(s) without a finite value for every output are counted as failed.")
-    if (lost := int((~status_ok).sum())) > 0:
-        notes.append(f"{lost} run(s) are marked as failed; the emulators are trained on the others.")
-    ok = status_ok & finite
-    error = np.zeros_like(y)
-    for j, name in enumerate(y_frame.columns):
-        if (column_name := name + ERROR_SUFFIX) in outputs.columns:
-            values = pd.to_numeric(outputs[column_name], errors="coerce").to_numpy(float)
-            error[:, j] = np.where(np.isfinite(values), np.abs(values), 0.0)
-    failed_x, x, y, error = x[~ok], x[ok], y[ok], error[ok]
+    error = _errors(outputs, names, where, notes)
+    ok = _finished(y, done, failed, names, notes)
+    failed_x, rows = x[~ok & (done | failed)], np.flatnonzero(ok)
+    checks.check_sizes(list(x_frame.columns), x, f"{where}: input")
+    checks.check_sizes(names, y[rows], f"{where}: output")
+    rows = _thinned(_once(x, y, rows, notes), most, notes)
+    x, y, error = x[rows], y[rows], error[rows]
+    names_x = list(x_frame.columns)
     if len(x):
-        _, first = np.unique(np.hstack([x, y]), axis=0, return_index=True)
-        if len(first) < len(x):
-            notes.append(f"{len(x) - len(first)} repeated run(s) (same inputs, same outputs) are used once.")
-            keep = np.sort(first)
-            x, y, error = x[keep], y[keep], error[keep]
-    names_x, names_y = list(x_frame.columns), list(y_frame.columns)
-    if len(x):
-        moving = np.ptp(x, axis=0) > 1e-12 * np.maximum(1e-300, np.abs(x).max(0))
-        if not moving.all():
-            notes.append(
-                f"input {_list([n for n, m in zip(names_x, moving, strict=True) if not m])} never varies and is left out."
-            )
-            x, failed_x = x[:, moving], failed_x[:, moving]
-            names_x = [n for n, m in zip(names_x, moving, strict=True) if m]
-        varying = np.ptp(y, axis=0) > 1e-12 * np.maximum(1e-300, np.abs(y).max(0))
-        if not varying.all():
-            notes.append(
-                f"output {_list([n for n, m in zip(names_y, varying, strict=True) if not m])} never varies and is left out."
-            )
-            y, error = y[:, varying], error[:, varying]
-            names_y = [n for n, m in zip(names_y, varying, strict=True) if m]
-        if not names_x or not names_y:
+        moving = _varying("input", names_x, x, notes)
+        x, failed_x, names_x = x[:, moving], failed_x[:, moving], [names_x[j] for j in moving]
+        varying = _varying("output", names, y, notes)
+        y, error, names = y[:, varying], error[:, varying], [names[j] for j in varying]
+        if not names_x or not names:
             raise TableError(
                 f"{where}: {'no input' if not names_x else 'no output'} varies between the runs; there is nothing to learn."
             )
@@ -224,7 +124,8 @@ def combine(
             f"{where}: {len(x)} finished runs for {len(names_x)} inputs ({len(failed_x)} failed); at least {needed} are needed"
             " for a linear mean with cross-validation. Add runs with `lacli design`."
         )
-    return RunTable(tuple(names_x), tuple(names_y), x, y, error, failed_x, tuple(notes))
+    checks.check_inputs(names_x, x, where, notes)
+    return RunTable(tuple(names_x), tuple(names), x, y, error, failed_x, tuple(notes))
 
 
 def fewest_runs(d: int) -> int:
@@ -232,21 +133,112 @@ def fewest_runs(d: int) -> int:
     return int(np.ceil((d + 4) / 0.8))
 
 
-def _named(frame: pd.DataFrame, names: Sequence[str] | None, what: str) -> list[str]:
-    if names is None:
-        return [name for name in frame.columns if name not in IGNORED and not name.endswith(ERROR_SUFFIX)]
+def _inputs(frame: pd.DataFrame, names: Sequence[str] | None, where: str, notes: list[str]) -> list[str]:
+    if names is not None:
+        return _named(frame, names, f"{where}: input")
+    _say_labels(frame, "input", notes)
+    return [name for name in frame.columns if not is_bookkeeping(name)]
+
+
+def _outputs(frame: pd.DataFrame, names: Sequence[str] | None, where: str, notes: list[str]) -> list[str]:
+    """The columns that are outputs: neither labels, nor errors or derivatives of others."""
+    if names is not None:
+        return _named(frame, names, f"{where}: output")
+    _say_labels(frame, "output", notes)
+    columns = [name for name in frame.columns if not is_bookkeeping(name)]
+    derivatives = [name for name in columns if derivative_of(name, columns) is not None]
+    if derivatives:
+        notes.append(f"columns of derivatives ({listed(derivatives, 3)}) are not used here.")
+    return [name for name in columns if error_of(name, columns) is None and name not in derivatives]
+
+
+def _named(frame: pd.DataFrame, names: Sequence[str], what: str) -> list[str]:
     missing = [name for name in names if name not in frame.columns]
     if missing:
-        raise TableError(f"{what} {_list(missing)} is not a column; the columns are {_list(list(frame.columns))}.")
+        raise TableError(f"{what} {listed(missing)} is not a column; the columns are {listed(list(frame.columns))}.")
     return list(names)
 
 
-def read_runs(inputs: Path, outputs: Path, output_names: Sequence[str] | None = None) -> RunTable:
-    """Read and check a table of inputs and a table of outputs with a row for each run, in the same order.
+def _say_labels(frame: pd.DataFrame, what: str, notes: list[str]) -> None:
+    # run_id, run, id and key are no one's inputs; the others might be
+    doubtful = [n for n in frame.columns if is_label(n) and n.lower() not in ("run_id", "run", "id", "key")]
+    doubtful = [n for n in doubtful if not n.startswith("Unnamed") and frame[n].notna().any()]
+    if doubtful:
+        notes.append(f"column {listed(doubtful)} is taken as a label of the runs, not as an {what}; rename it if it is one.")
+
+
+def _errors(frame: pd.DataFrame, names: Sequence[str], where: str, notes: list[str]) -> FloatArray:
+    """Each run's own error (n, p), one standard deviation; 0 where none is told."""
+    found = np.zeros((len(frame), len(names)))
+    # one output's own column cannot be another's error: f and f_sd both named are two outputs
+    columns = {name: output for name in frame.columns if name not in names and (output := error_of(name, names))}
+    twice = next((o for o in columns.values() if list(columns.values()).count(o) > 1), None)
+    if twice is not None:
+        raise TableError(
+            f"{where}: the error of {twice} is told twice ({listed([c for c, o in columns.items() if o == twice])})."
+        )
+    for name, output in columns.items():
+        values = numbers(frame[[name]], f"{where}: errors")[name].to_numpy(float)
+        known = np.isfinite(values)
+        checks.check_sizes([name], values[:, None], f"{where}: error")
+        found[:, names.index(output)] = np.where(known, np.abs(values), 0.0)
+        missing = "" if known.all() else f"; {int((~known).sum())} run(s) tell none, which counts as 0"
+        if not name.endswith(ERROR_SUFFIX) or missing:
+            notes.append(f"{name} is read as the error of {output}, one standard deviation{missing}.")
+    return found
+
+
+def _finished(y: FloatArray, done: np.ndarray, failed: np.ndarray, names: Sequence[str], notes: list[str]) -> np.ndarray:
+    """Whether each run (n,) gave a value for every output; what the others are is noted."""
+    finite = np.isfinite(y).all(1)
+    ok = done & ~failed & finite
+    if (lost := int((done & ~failed & ~finite).sum())) > 0:
+        notes.append(f"{lost} run(s) without a finite value for every output are counted as failed.")
+    if (lost := int(failed.sum())) > 0:
+        notes.append(f"{lost} run(s) are marked as failed; the emulators are trained on the others.")
+    if (lost := int((~done & ~failed).sum())) > 0:
+        notes.append(f"{lost} run(s) never finished (status); they are left out, and not counted as failed.")
+    rows = np.flatnonzero(ok)
+    stray = checks.stray_outputs(names, y[rows], rows.tolist(), notes)
+    if stray.any():
+        ok = ok.copy()
+        ok[rows[stray]] = False
+    return ok
+
+
+def _once(x: FloatArray, y: FloatArray, rows: np.ndarray, notes: list[str]) -> np.ndarray:
+    if not len(rows):
+        return rows
+    _, first = np.unique(np.hstack([x[rows], y[rows]]), axis=0, return_index=True)
+    if len(first) < len(rows):
+        notes.append(f"{len(rows) - len(first)} repeated run(s) (same inputs, same outputs) are used once.")
+    return rows[np.sort(first)]
+
+
+def _thinned(rows: np.ndarray, most: int, notes: list[str]) -> np.ndarray:
+    if len(rows) <= most:
+        return rows
+    notes.append(
+        f"{most:,} of {len(rows):,} finished runs are used, drawn at random (the same every time): the time of a fit grows as"
+        " their cube."
+    )
+    return rows[np.sort(np.random.default_rng(_THINNING_SEED).permutation(len(rows))[:most])]
+
+
+def _varying(what: str, names: Sequence[str], values: FloatArray, notes: list[str]) -> list[int]:
+    moves = np.ptp(values, axis=0) > 1e-12 * np.maximum(1e-300, np.abs(values).max(0))
+    if not moves.all():
+        notes.append(f"{what} {listed([n for n, m in zip(names, moves, strict=True) if not m])} never varies and is left out.")
+    return np.flatnonzero(moves).tolist()
+
+
+def read_runs(inputs: Path, outputs: Path, output_names: Sequence[str] | None = None, most: int = MOST_RUNS) -> RunTable:
+    """Read and check a table of inputs and a table of outputs with a row for each run.
 
     Raises TableError as ``combine`` and ``read_frame`` do.
     """
-    return combine(read_frame(inputs), read_frame(outputs), output_names=output_names, where=f"{inputs} and {outputs}")
+    frames = read_frame(inputs), read_frame(outputs)
+    return combine(*frames, output_names=output_names, where=f"{inputs} and {outputs}", most=most)
 
 
 def read_one(path: Path, input_names: Sequence[str], output_names: Sequence[str]) -> RunTable:

@@ -3,25 +3,33 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tomli_w
 
 from lacli.base.arrays import FloatArray
+from lacli.base.documents import brief, read_toml
 from lacli.base.errors import TableError
+from lacli.contracts.covariance import read_covariance
+
+# a measurement is not as exact as a billionth of a thousandth of itself, nor worth the name beyond a million times itself
+# (a mean near 0 is what rounding left of nothing: there the unit is the measure)
+_EXACTEST, _VAGUEST = 1e-12, 1e6
+_NOTHING, _LARGEST = 1e-100, 1e100
 
 
 @dataclass(frozen=True)
 class Targets:
-    """names (p,), mean (p,) and sd (p,) in the features' own units."""
+    """names (p,), mean (p,) and sd (p,) in the features' own units; covariance (p, p) of the errors, None: independent."""
 
     names: tuple[str, ...]
     mean: FloatArray
     sd: FloatArray
+    covariance: FloatArray | None = None
 
     def select(self, names: Sequence[str]) -> Targets:
         """The targets in the order of ``names``; TableError if one is missing."""
@@ -29,48 +37,67 @@ class Targets:
         if missing:
             raise TableError(f"targets: no value for {', '.join(missing)}; there are {', '.join(self.names)}.")
         j = [self.names.index(name) for name in names]
-        return Targets(tuple(names), self.mean[j], self.sd[j])
+        covariance = None if self.covariance is None else self.covariance[np.ix_(j, j)]
+        return Targets(tuple(names), self.mean[j], self.sd[j], covariance)
 
     def widened(self, error_sd: FloatArray) -> Targets:
         """The targets with the simulator's own error (p,), one standard deviation, added to their uncertainty: what a run
         says differs from the truth by both."""
-        return Targets(self.names, self.mean, np.hypot(self.sd, error_sd)) if error_sd.any() else self
+        if not error_sd.any():
+            return self
+        covariance = None if self.covariance is None else self.covariance + np.diag(error_sd**2)
+        return Targets(self.names, self.mean, np.hypot(self.sd, error_sd), covariance)
 
 
 def read_targets(path: Path) -> Targets:
     """Read ``targets.toml``: a table for each feature with ``mean`` and ``sd``, at the top or under ``[targets]``.
 
-    Example: ``[targets.esv_ml]``, ``mean = 92.0``, ``sd = 4.6``. Raises TableError with the key at fault.
+    Example: ``[targets.esv_ml]``, ``mean = 92.0``, ``sd = 4.6``. ``covariance = "file.npz"`` at the top names the covariance of
+    the errors, in the same folder (contracts.covariance). Raises TableError with the key at fault.
     """
     path = Path(path)
-    if not path.is_file():
-        raise TableError(f"{path}: no such targets file. Write a table for each feature with mean and sd.")
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise TableError(f"{path}: not valid TOML ({error}).") from error
-    tables = document.get("targets", document)
-    names, means, sds = [], [], []
-    for name, entry in tables.items() if isinstance(tables, dict) else []:
-        if not isinstance(entry, dict):
-            continue
-        unknown = set(entry) - {"mean", "sd", "unit", "source"}
-        if unknown:
-            raise TableError(f"{path}: [{name}] has an unknown key {', '.join(sorted(unknown))}; the keys are mean and sd.")
-        values = []
-        for key in ("mean", "sd"):
-            value = entry.get(key)
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-                raise TableError(f"{path}: [{name}] needs a finite number for {key}, found {value!r}.")
-            values.append(float(value))
-        if values[1] <= 0:
-            raise TableError(f"{path}: [{name}] sd must be positive, found {values[1]:g}. A measurement has an uncertainty.")
-        names.append(name)
-        means.append(values[0])
-        sds.append(values[1])
-    if not names:
+    document = read_toml(path, error=TableError, missing="no such targets file. Write a table for each feature with mean and sd")
+    tables = document
+    if "targets" in document:
+        tables = document["targets"]
+        beside = [key for key, value in document.items() if key != "targets" and isinstance(value, dict)]
+        if beside:
+            raise TableError(f"{path}: [{'], ['.join(beside)}] stands beside [targets] and is not read. Move or remove it.")
+        if not isinstance(tables, dict):
+            raise TableError(f"{path}: targets needs a table for each feature, found {brief(tables)}.")
+        stray = [key for key, value in tables.items() if not isinstance(value, dict)]
+        if stray:
+            raise TableError(f"{path}: {', '.join(stray)} under [targets] is no table with mean and sd.")
+    found = {name: _target(path, name, entry) for name, entry in tables.items() if isinstance(entry, dict)}
+    if not found:
         raise TableError(f"{path}: no target in it. Write a table for each feature with mean and sd.")
-    return Targets(tuple(names), np.array(means), np.array(sds))
+    alike: dict[str, str] = {}
+    for name in found:
+        if (other := alike.setdefault(name.strip().lower(), name)) != name:
+            raise TableError(f"{path}: {other} and {name} are one name but for its spelling. Keep one.")
+    values = np.array(list(found.values()))
+    file = document.get("covariance")
+    covariance = None if file is None else read_covariance(path, file, list(found), values[:, 1])
+    return Targets(tuple(found), values[:, 0], values[:, 1], covariance)
+
+
+def _target(path: Path, name: str, entry: dict[str, Any]) -> tuple[float, float]:
+    """Mean and sd of one target, each a number that can be worked with."""
+    unknown = set(entry) - {"mean", "sd", "unit", "source"}
+    if unknown:
+        raise TableError(f"{path}: [{name}] has an unknown key {', '.join(sorted(unknown))}; the keys are mean and sd.")
+    for key in ("mean", "sd"):
+        value = entry.get(key)
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+            raise TableError(f"{path}: [{name}] needs a finite number for {key}, found {brief(value)}.")
+    mean, sd = float(entry["mean"]), float(entry["sd"])
+    if sd <= 0:
+        raise TableError(f"{path}: [{name}] sd must be positive, found {sd:g}. A measurement has an uncertainty.")
+    if sd < _EXACTEST * abs(mean) or sd < _NOTHING:
+        raise TableError(f"{path}: [{name}] sd {sd:g} beside a mean of {mean:g}: no measurement is that exact. Check it.")
+    if sd > _VAGUEST * max(abs(mean), 1.0) or abs(mean) > _LARGEST:
+        raise TableError(f"{path}: [{name}] mean {mean:g} with sd {sd:g} tells nothing. Check the units.")
+    return mean, sd
 
 
 def write_targets(path: Path, targets: Targets) -> None:

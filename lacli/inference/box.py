@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from lacli.base.arrays import BoolArray, FloatArray
-from lacli.base.documents import read_toml
+from lacli.base.documents import brief, read_toml
 from lacli.base.errors import UsageError
 from lacli.contracts.labels import BODY_REGIONS
 from lacli.contracts.parameters import QUANTITIES, judge, parameter_box
@@ -20,6 +20,8 @@ RANGES: dict[str, tuple[float, float]] = parameter_box()
 CALIBRATION_INPUTS: tuple[str, ...] = tuple(name for name in RANGES if not name.startswith("c_"))
 SENSITIVITY_INPUTS: tuple[str, ...] = tuple(RANGES)
 OUTPUTS: tuple[str, ...] = ("esv_ml", "d_global_mm", *(f"d_{region}_mm" for region in BODY_REGIONS))
+# beyond these, squares overflow, or points of the range are one number
+_LARGEST, _NARROWEST = 1e100, 1e-12
 # (lower, upper): the first must stay below the second
 _ORDERED = (("edp_mmhg", "esp_mmhg"),)
 
@@ -73,6 +75,8 @@ def make_box(names: Sequence[str], lower: Sequence[float], upper: Sequence[float
     for name, a, b in zip(names, low, high, strict=True):
         if not (math.isfinite(a) and math.isfinite(b) and a < b):
             raise UsageError(f"box: the range of {name} is [{a:g}, {b:g}]; the lower end must be below the upper one.")
+        if max(abs(a), abs(b)) > _LARGEST or b - a <= _NARROWEST * max(abs(a), abs(b)):
+            raise UsageError(f"box: the range of {name} is [{a:g}, {b:g}]: too large, or too narrow, to calculate with.")
         for end in (a, b) if name in QUANTITIES else ():
             verdict, words = judge(QUANTITIES[name], float(end))
             if verdict == "impossible":
@@ -102,15 +106,15 @@ def read_box(path: Path) -> Box:
     Raises UsageError with the key at fault.
     """
     path = Path(path)
-    hint = "no such box file. Write [box] and a line `name = [lower, upper]` for each input"
-    document = read_toml(path, error=UsageError, missing=hint)
+    missing = "no such box file. Write [box] and a line `name = [lower, upper]` for each input"
+    document = read_toml(path, error=UsageError, missing=missing)
     table = document.get("box", document)
     if not isinstance(table, dict) or not table:
         raise UsageError(f"{path}: no range in it. Write [box] and a line `name = [lower, upper]` for each input.")
     for name, pair in table.items():
         numbers = isinstance(pair, list) and len(pair) == 2
         if not numbers or not all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in pair):
-            raise UsageError(f"{path}: {name} needs [lower, upper], found {pair!r}.")
+            raise UsageError(f"{path}: {name} needs [lower, upper], found {brief(pair)}.")
     return make_box(list(table), [pair[0] for pair in table.values()], [pair[1] for pair in table.values()])
 
 

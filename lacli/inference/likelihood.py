@@ -15,11 +15,32 @@ from lacli.contracts.targets import Targets
 from lacli.inference.emulation.emulator_set import EmulatorSet
 from lacli.inference.matching import Region
 
+_ENTRIES = 4_000_000  # of the covariances that are in memory at a time
+
 
 def gaussian_log_likelihood(mean: FloatArray, variance: FloatArray, targets: Targets) -> FloatArray:
-    """log L (m,) from predicted mean and variance (m, p)."""
+    """log L (m,) from predicted mean and variance (m, p); the targets' errors correlated where they have a covariance."""
+    if targets.covariance is not None:
+        return _correlated_log_likelihood(mean, variance, targets.mean, targets.covariance)
     total = variance + targets.sd**2
     return -0.5 * ((mean - targets.mean) ** 2 / total + np.log(2.0 * np.pi * total)).sum(1)
+
+
+def _correlated_log_likelihood(mean: FloatArray, variance: FloatArray, target: FloatArray, covariance: FloatArray) -> FloatArray:
+    """log L (m,) = -1/2 [r' S^-1 r + log det S + p log 2 pi], S the covariance (p, p) plus the emulators' variance."""
+    p = len(target)
+    result = np.empty(len(mean))
+    diagonal = np.arange(p)
+    rows = max(1, _ENTRIES // (p * p))
+    for start in range(0, len(mean), rows):
+        part = slice(start, start + rows)
+        total = np.repeat(covariance[None], len(mean[part]), axis=0)
+        total[:, diagonal, diagonal] += variance[part]
+        factor = np.linalg.cholesky(total)
+        white = np.linalg.solve(factor, (mean[part] - target)[..., None])[..., 0]
+        size = 2.0 * np.log(factor[:, diagonal, diagonal]).sum(axis=1)
+        result[part] = -0.5 * ((white**2).sum(axis=1) + size + p * np.log(2.0 * np.pi))
+    return result
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,8 @@ from scipy.stats import qmc
 
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import InputError, LacliError, UsageError
-from lacli.base.files import DAMAGED, replacing
+from lacli.base.files import replacing
+from lacli.base.schema import Array, array_file, unfit
 from lacli.base.threads import single_threaded
 from lacli.contracts.identity import Identity, conflict, identify, parse_identity
 from lacli.inference.likelihood import Density
@@ -29,6 +30,20 @@ _ROUND = 50  # steps between saves
 # a stand-in whose log likelihood is off by more than this is accepted too seldom to pay
 _SURROGATE_ERROR = 2.0
 _SURROGATE_POINTS = 1600
+# R-hat and ESS are not known before they are looked at first
+_SCHEMA = {
+    "names": Array("text", ("d",), distinct=True),
+    "samples": Array(shape=("steps", "ensembles", "walkers", "d")),
+    "log_prob": Array(shape=("steps", "ensembles", "walkers")),
+    "acceptance": Array(least=0.0, most=1.0),
+    "rhat": Array(shape=("d",), finite=False),
+    "ess": Array(shape=("d",), finite=False),
+    "flags": Array("bool", (2,)),
+    "tuning_points": Array(shape=("points", "d")),
+    "generator": Array("int", (624,), least=0, most=2**32 - 1),
+    "generator_rest": Array(shape=(3,)),
+    "key": Array("text"),
+}
 
 
 @dataclass(frozen=True)
@@ -104,6 +119,7 @@ def sample_posterior(
     sampler = emcee.EnsembleSampler(count, density.d, density, moves=move, vectorize=True)
     if chain.steps:
         state = emcee.State(chain.samples[-1].reshape(count, -1), chain.log_prob[-1].ravel(), random_state=chain.random_state)
+        _check_continuation(density, settings, chain)
         checked = _check_at(chain.steps) <= chain.steps
         if checked and _satisfied(chain, settings):
             return replace(chain, converged=True)
@@ -128,6 +144,17 @@ def sample_posterior(
         if keep is not None:
             keep(chain)
     return chain
+
+
+def _check_continuation(density: Density, settings: Settings, chain: Chain) -> None:
+    """Raises InputError where the last state is none that this walk can have arrived at."""
+    shape = (settings.ensembles, settings.walkers, density.d)
+    if chain.samples.shape[1:] != shape or len(chain.tuning_points) < settings.ensembles * settings.walkers:
+        raise InputError(f"the chain to continue has states of shape {chain.samples.shape[1:]}, {shape} is expected; remove it.")
+    now = density(chain.samples[-1].reshape(-1, density.d))
+    # to rounding: another machine sums in another order
+    if not np.allclose(now, chain.log_prob[-1].ravel(), rtol=1e-6, atol=1e-6):
+        raise InputError("the chain to continue does not have the probabilities it says; it was damaged: remove it.")
 
 
 def _check_at(steps: int) -> int:
@@ -298,15 +325,17 @@ def save_chain(path: Path, chain: Chain) -> None:
 
 def load_chain(path: Path) -> Chain:
     """Read what ``save_chain`` wrote; InputError if it cannot be."""
-    try:
-        with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as a:
-            if int(a["format"]) != _FORMAT:
-                raise InputError(f"{path}: a chain of another format; remove it to sample anew.")
-            rest = a["generator_rest"]
-            state = ("MT19937", a["generator"], int(rest[0]), int(rest[1]), float(rest[2]))
-            return Chain(
-                tuple(str(n) for n in a["names"]), a["samples"], a["log_prob"], float(a["acceptance"]), a["rhat"], a["ess"],
-                bool(a["flags"][0]), state, a["tuning_points"], bool(a["flags"][1]), str(a["key"]),
-            )  # fmt: skip
-    except DAMAGED as error:
-        raise InputError(f"{path}: not a chain, or a damaged one ({error}). Remove it to sample anew.") from error
+    with array_file(path, "a chain", "Remove it to sample anew.") as file:
+        if int(file.read({"format": Array("int")})["format"]) != _FORMAT:
+            raise InputError(f"{path}: a chain of another format; remove it to sample anew.")
+        a = file.read(_SCHEMA)
+        if len(a["samples"]) < 1 or min(a["samples"].shape) < 1:
+            raise unfit("it holds no sample")
+        if not (0 <= a["generator_rest"][0] <= 624 and a["generator_rest"][1] in (0, 1)):
+            raise unfit("the state of its random numbers is none")
+    rest = a["generator_rest"]
+    state = ("MT19937", a["generator"].astype(np.uint32), int(rest[0]), int(rest[1]), float(rest[2]))
+    return Chain(
+        tuple(a["names"].tolist()), a["samples"], a["log_prob"], float(a["acceptance"]), a["rhat"], a["ess"],
+        bool(a["flags"][0]), state, a["tuning_points"], bool(a["flags"][1]), str(a["key"]),
+    )  # fmt: skip

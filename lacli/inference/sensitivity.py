@@ -22,10 +22,11 @@ Function = Callable[[FloatArray], FloatArray]
 
 @dataclass(frozen=True)
 class Sobol:
-    """Indices of p outputs to d inputs, with half-widths of 95 % intervals from resampling (``_conf``).
+    """Indices of p outputs to d inputs, with half-widths of 95 % intervals (``_conf``): from resampling, and, of emulators,
+    from what they do not know.
 
-    s1, st (p, d); s2 (p, d, d), upper triangle, NaN elsewhere. s1_emulator_sd, st_emulator_sd (p, d): spread of the
-    indices over functions drawn from the emulators' own distribution, 0 for a known function.
+    s1, st (p, d); s2 (p, d, d), upper triangle, NaN elsewhere. s1_emulator_sd, st_emulator_sd (p, d): root mean square
+    distance of the indices of functions drawn from the emulators' own distribution, 0 for a known function.
     """
 
     s1: FloatArray
@@ -122,10 +123,12 @@ def emulator_indices(
     draws: int = 32,
     draw_n: int = 128,
     seed: int = 1,
+    tick: Callable[[], None] | None = None,
 ) -> Sobol:
     """Indices of the emulators' means, and the spread that the emulators' own uncertainty gives them.
 
     ``draws`` functions are drawn from each emulator and analysed on ``draw_n`` base points; 0 draws leaves it out.
+    tick is called after each output.
     """
     result = function_indices(emulators.predict_mean, lower, upper, n, resamples, seed)
     if draws == 0:
@@ -133,11 +136,23 @@ def emulator_indices(
     points = saltelli_sample(lower, upper, draw_n, seed + 1)
     blocks, _, d = points.shape
     x = points.reshape(-1, d)
+    z = norm.ppf(0.975)
+    # the mean, and the functions, on the same points: what sampling does to both cancels
+    here = sobol_indices(emulators.predict_mean(x).reshape(blocks, draw_n, -1), 2, seed)
     s1_sd, st_sd = np.empty_like(result.s1), np.empty_like(result.st)
+    s2_sd = np.full_like(result.s2, np.nan)
     for i, emulator in enumerate(emulators.emulators):
         y = draw_functions(emulator, x, draws, seed + 2 + i).reshape(blocks, draw_n, draws)
         drawn = sobol_indices(y, 2, seed)
-        s1_sd[i], st_sd[i] = drawn.s1.std(0, ddof=1), drawn.st.std(0, ddof=1)
+        # about the mean function's index, not the draws' own mean: a mean is smoother than any function it is the mean of,
+        # which makes the indices of inputs that act little too small
+        s1_sd[i], st_sd[i], s2_sd[i] = (
+            np.sqrt(((there - at[i]) ** 2).mean(0))
+            for there, at in ((drawn.s1, here.s1), (drawn.st, here.st), (drawn.s2, here.s2))
+        )
+        if tick is not None:
+            tick()
     return Sobol(
-        result.s1, result.s1_conf, result.st, result.st_conf, result.s2, result.s2_conf, s1_sd, st_sd
+        result.s1, np.hypot(result.s1_conf, z * s1_sd), result.st, np.hypot(result.st_conf, z * st_sd), result.s2,
+        np.hypot(result.s2_conf, z * s2_sd), s1_sd, st_sd,
     )  # fmt: skip

@@ -77,12 +77,13 @@ def feature_rates(case: Case, results: Results, folder: Path) -> pd.DataFrame | 
         rates = read_rates(case, name, folder)
         found = endocardium.rates(results.states[name].x, rates)
         if name == "es":
-            ed = read_rates(case, "ed", folder) if _given(results).get("ed") else np.zeros_like(rates)
-            rows["edv_ml"] = endocardium.rates(results.states["ed"].x, ed)["volume_ml"]
+            # the prestrain keeps the image, whatever the inputs; a wall that has settled from there does not
+            ed = read_rates(case, "ed", folder) if _given(results).get("ed") else None
+            rows["edv_ml"] = np.zeros(len(INPUTS)) if ed is None else endocardium.rates(results.states["ed"].x, ed)["volume_ml"]
             rows["esv_ml"] = found.pop("volume_ml")
             rows |= found
             if case.scene.outputs.strain:
-                rows |= _extras(case, results, rates, ed)
+                rows |= _extras(case, results, rates, np.zeros_like(rates) if ed is None else ed)
         elif name != "ed":
             time = next(phase.time_to for phase in case.plan.stretches() if phase.file == name)
             rows |= {at_time(key, time): value for key, value in found.items()}

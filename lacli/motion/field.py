@@ -139,8 +139,8 @@ def read_field(path: Path, frame: Frame = "lps") -> Field:
         raise InputError(f"{path}: the displacement field cannot be read ({reason[:200]}).") from None
     if image.GetDimension() != 3 or image.GetNumberOfComponentsPerPixel() != 3:
         raise InputError(
-            f"{path}: not a displacement field: {image.GetDimension()} dimensions, {image.GetNumberOfComponentsPerPixel()} values "
-            "a voxel, expected 3 and 3 (mm)."
+            f"{path}: not a displacement field: {image.GetDimension()} dimensions, {image.GetNumberOfComponentsPerPixel()} "
+            "values a voxel, expected 3 and 3 (mm)."
         )
     field = from_sitk(image)
     if not np.isfinite(field.u).all():

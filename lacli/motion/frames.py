@@ -23,11 +23,12 @@ _LABELS_AT_MOST = 64
 _INSIDE_MM, _OUTSIDE_MM = 2.5, 3.5
 _SAME_MM = 1e-3
 FEWEST, MOST = 3, 200
+_FEWEST_PERCENT = 10.0  # times that end between 1 and this are of another unit
 
 
 @dataclass(frozen=True)
 class Source:
-    """Where a frame is: a file, a folder of one DICOM series, or frame ``index`` of a 4-D file; ``time`` if its header has one."""
+    """Where a frame is: a file, one DICOM folder, frame ``index`` of a 4-D file; ``time`` where its header has one."""
 
     path: Path
     index: int | None = None
@@ -140,6 +141,10 @@ def cycle_times(sources: Sequence[Source], given: Sequence[float] | None) -> tup
         if len(times) != len(sources):
             raise UsageError(f"--times has {len(times)} values for {len(sources)} frames; give one for each.")
         if np.isfinite(times).all() and times.max() > 1.0:
+            if times.max() <= _FEWEST_PERCENT:
+                raise UsageError(
+                    f"--times end at {times.max():g}: neither fractions of the RR interval (0.35) nor percentages of it (35)."
+                )
             times = times / 100.0
     elif all(source.time is not None for source in sources):
         times, origin = np.array([source.time for source in sources], dtype=float), "the DICOM headers"
@@ -231,7 +236,7 @@ def check_hounsfield(image: Image, where: Source) -> None:
         raise InputError(f"{where}: every voxel is {values[0]:g}; the frame is empty.")
     if len(values) <= _LABELS_AT_MOST and np.array_equal(values, np.round(values)):
         raise InputError(
-            f"{where}: has only {len(values)} different values; is it a label map? Tracking needs HU (label maps: --motion labels)."
+            f"{where}: has only {len(values)} different values; is it a label map? Tracking needs HU (labels: --motion labels)."
         )
 
 
@@ -245,15 +250,15 @@ def check_is_bundles_image(ed: Image, surface: Endocardium, where: Source) -> fl
     inside = ((index >= 0) & (index <= np.array(ed.array.shape[::-1]) - 1)).all(axis=1)
     if inside.mean() < 0.98:
         raise InputError(
-            f"{where}: the bundle's atrium lies outside ({100 * inside.mean():.0f} % of it inside). Is this the image the bundle was "
-            "made from (LPS mm)?"
+            f"{where}: the bundle's atrium lies outside ({100 * inside.mean():.0f} % of it inside). Is this the image the bundle "
+            "was made from (LPS mm)?"
         )
     within, beyond = (sample(ed, points + shift * normal) for shift in (-_INSIDE_MM, _OUTSIDE_MM))
     share = float((within > beyond + 30.0).mean())
     if share < 0.6:
         raise InputError(
-            f"{where}: only {100 * share:.0f} % of the bundle's endocardium has blood inside and darker tissue outside; this is not "
-            "the image the bundle was made from, or not its end-diastole. Give that frame first."
+            f"{where}: only {100 * share:.0f} % of the bundle's endocardium has blood inside and darker tissue outside; this is "
+            "not the image the bundle was made from, or not its end-diastole. Give that frame first."
         )
     return share
 
@@ -277,8 +282,8 @@ def sample(image: Image, points: FloatArray) -> FloatArray:
 def around(image: Image, points: FloatArray, work_mm: float = WORK_MM) -> Image:
     """The volume cropped to the points (n, 3) and 25 mm around, in voxels of ``work_mm``, float32.
 
-    Finer voxels are averaged (less noise, and the engine's time is that of its voxels); a grid that is already of about that size
-    is only cropped.
+    Finer voxels are averaged (less noise, and the engine's time is that of its voxels), coarser ones kept; a grid that is
+    already of about that size is only cropped.
     """
     import SimpleITK as sitk
 
@@ -288,6 +293,7 @@ def around(image: Image, points: FloatArray, work_mm: float = WORK_MM) -> Image:
     high = np.clip(np.ceil(index.max(axis=0) + MARGIN_MM / image.spacing).astype(int) + 1, 1, size)
     piece = image.crop(low, high)
     piece = piece.with_array(piece.array.astype(np.float32))
+    work_mm = max(work_mm, float(piece.spacing.min()))
     if np.all(np.abs(piece.spacing / work_mm - 1.0) < 0.15):
         return piece
     source = to_sitk(piece)

@@ -16,8 +16,8 @@ _SHORTEST = 0.05
 
 @dataclass(frozen=True)
 class Phases:
-    """Times as fractions of the cycle. es: peak of the volume; conduit_end, booster_start: ends of diastasis, equal where there is
-    none; es_gap: from ES to the nearest frame. volume_ml at ES; ed_volume_ml."""
+    """Times as fractions of the cycle. es: peak of the volume; conduit_end, booster_start: ends of diastasis, equal where there
+    is none; es_gap: from ES to the nearest frame. volume_ml at ES; ed_volume_ml."""
 
     es: float
     es_volume_ml: float

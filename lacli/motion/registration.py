@@ -29,7 +29,7 @@ HU_WINDOW = (-150.0, 400.0)
 
 @dataclass(frozen=True)
 class Engine:
-    """``name`` on the command line, ``settings`` that determine its result, ``register`` (fixed, moving) -> Field, in this process."""
+    """``name`` on the command line, ``settings`` that determine its result, ``register`` (fixed, moving) -> Field, in-process."""
 
     name: str
     settings: str

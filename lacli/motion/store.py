@@ -2,27 +2,42 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
+import tomli_w
 
-from lacli.anatomy.surface_features import Endocardium, cavity_faces
+from lacli.anatomy.surface_features import Endocardium
 from lacli.base.arrays import FloatArray
-from lacli.base.files import replacing, write_text
+from lacli.base.errors import StorageError
+from lacli.base.files import replacing, write_json, write_text
 from lacli.contracts.bundle import Bundle
+from lacli.contracts.covariance import write_covariance
+from lacli.contracts.features import parse
 from lacli.geometry.subdivision import straight
+from lacli.motion.annulus import annulus_points
+from lacli.motion.patient import Tracked
+from lacli.motion.phases import Phases
+from lacli.motion.targets import Covaried
+
+COVARIANCE = "targets_covariance.npz"
+_PRODUCTS = ("motion.npz", "transients.csv", "targets.toml", COVARIANCE, "frames")
 
 
 def write_series(folder: Path, bundle: Bundle, surface: Endocardium, times: FloatArray, positions: FloatArray) -> Path:
     """One VTP a frame of the cavity's surface and ``series.pvd``, which ParaView opens as an animation.
 
-    positions (f, n, 3) mm of the bundle's points. Point arrays: wall_point (id in the bundle), displacement (3) mm from ED; on the
-    points of the body also its components normal_mm (out of the cavity), alpha_mm, beta_mm along the universal coordinates.
+    positions (f, n, 3) mm of the bundle's points. Point arrays: wall_point (id in the bundle), displacement (3) mm from ED; on
+    the points of the body also its components normal_mm (out of the cavity), alpha_mm, beta_mm along the universal coordinates.
     """
     import pyvista as pv
 
     folder.mkdir(parents=True, exist_ok=True)
-    faces = cavity_faces(bundle)
+    faces = bundle.cavity_triangles()
     # 6-node faces are cut in four, normals turned out of the cavity
     triangles = straight(faces)[:, ::-1]
     used, local = np.unique(triangles, return_inverse=True)
@@ -57,3 +72,76 @@ def nodal_axes(bundle: Bundle, surface: Endocardium) -> dict[str, FloatArray]:
         size = np.linalg.norm(total, axis=1, keepdims=True)
         result[name] = np.divide(total, size, out=np.zeros_like(total), where=size > 0)
     return result
+
+
+def check_replaceable(folder: Path) -> None:
+    """Before the work: StorageError where results would replace files in the folder that tracking did not write."""
+    in_the_way = [name for name in _PRODUCTS if (folder / name).exists()]
+    if in_the_way and not (folder / "tracking.json").is_file():
+        raise StorageError(f"{folder}: holds {', '.join(in_the_way)} that `lacli track` did not write; choose another --out.")
+
+
+def write_all(folder: Path, bundle: Bundle, tracked: Tracked, found: Covaried, notes: Mapping[str, Any]) -> dict[str, Any]:
+    """motion.npz, transients.csv, targets.toml with its covariance, frames/, tracking.json into a folder; what the last says."""
+    course = tracked.course
+    phases = course.phases
+    ids = annulus_points(bundle)
+    normal, tangential = _mean_error(tracked)
+    endo = np.unique(bundle.cavity_triangles())
+    # one file: what a simulation needs of the annulus, and beside it what was tracked and how well
+    with replacing(folder / "motion.npz") as temporary:
+        np.savez_compressed(
+            temporary, times=course.times, wall_point=ids, positions=course.positions[:, ids], es_time=np.array(phases.es),
+            endo_point=endo, endo_positions=course.positions[:, endo], engine=np.array(str(tracked.info["engine"])),
+            error_normal_mm=np.array(normal), error_tangential_mm=np.array(tangential),
+        )  # fmt: skip
+    rows = [
+        {"time": float(t), "phase": phases.name(float(t)), **row} for t, row in zip(course.times, course.features, strict=True)
+    ]
+    with replacing(folder / "transients.csv") as temporary:
+        pd.DataFrame(rows).to_csv(temporary, index=False)
+    write_covaried(folder, found, phases, str(tracked.info["engine"]))
+    write_series(folder / "frames", bundle, course.surface, course.times, course.positions)
+    info = {**tracked.info, **notes, "times": course.times.tolist(), "phases": asdict(phases), **_errors(tracked)}
+    write_json(folder / "tracking.json", info)
+    return info
+
+
+def write_covaried(folder: Path, found: Covaried, phases: Phases, engine: str) -> None:
+    """targets.toml, and targets_covariance.npz (names, covariance) that it names."""
+    tables = {}
+    for name, mean, sd in zip(found.targets.names, found.targets.mean, found.targets.sd, strict=True):
+        tables[name] = {
+            "mean": float(mean),
+            "sd": float(sd),
+            "unit": parse(name)[0].unit or "1",
+            "source": f"lacli track, {engine}",
+        }
+    document: dict[str, Any] = {
+        "es_time": phases.es,
+        "nearest_frame_to_es": phases.es_gap,
+        "covariance": COVARIANCE,
+        "targets": tables,
+    }
+    write_covariance(folder / COVARIANCE, found.targets.names, found.covariance)
+    write_text(folder / "targets.toml", tomli_w.dumps(document))
+
+
+def _mean_error(tracked: Tracked) -> tuple[float, float]:
+    """Means over the known motions, mm, with the factor by which known motions are easier; where none was made, as stated."""
+    if not tracked.known:
+        return float(tracked.info["error_normal_mm"]), float(tracked.info["error_tangential_mm"])
+    normal = [error.normal["global"] for _, error in tracked.known]
+    tangential = [error.tangential["global"] for _, error in tracked.known]
+    factor = float(tracked.info["known_motion_factor"])
+    return factor * float(np.mean(normal)), factor * float(np.mean(tangential))
+
+
+def _errors(tracked: Tracked) -> dict[str, Any]:
+    return {
+        "known_motion": [{"time": time, **asdict(error)} for time, error in tracked.known],
+        "ed_residual": None if tracked.ed_residual is None else asdict(tracked.ed_residual),
+        "closure_mm": tracked.closure_mm,
+        "correlation_between_frames": tracked.model.between,
+        "sd": dict(zip(tracked.model.keys, tracked.model.sd.tolist(), strict=True)),
+    }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from lacli.anatomy.inputs.image import Image
 from lacli.anatomy.surface_features import Endocardium
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import InputError, LacliError
+from lacli.base.process import while_wanted
 from lacli.motion import frames as framing
 from lacli.motion.field import Field, read_field
 from lacli.motion.frames import Source
@@ -44,7 +46,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Run:
-    """Fields of all pairs in order, the CPU seconds of those registered now, the largest memory of one (MB), how many were kept."""
+    """Fields of all pairs in order, the CPU seconds of those registered now, the largest memory of one (MB), number kept."""
 
     fields: list[Field]
     cpu_s: float
@@ -91,7 +93,8 @@ def register_all(pairs: Sequence[Pair], engine: str, folder: Path, workers: int,
             for path, image in zip(ends, (pair.fixed, pair.moving), strict=True):
                 images.write(image, path)
             try:
-                made = register_apart(engine, ends[0], ends[1], file)
+                with while_wanted(lambda: not over.is_set()):
+                    made = register_apart(engine, ends[0], ends[1], file)
             except LacliError as error:
                 raise LacliError(f"{pair.name}: {error}") from error
             fields[index] = made.field
@@ -101,6 +104,7 @@ def register_all(pairs: Sequence[Pair], engine: str, folder: Path, workers: int,
                 path.unlink(missing_ok=True)
 
     monitor(what, 0, len(pairs))
+    over = threading.Event()
     pool = ThreadPoolExecutor(max_workers=workers)
     try:
         waiting = {pool.submit(one, index) for index in range(len(pairs))}
@@ -113,7 +117,7 @@ def register_all(pairs: Sequence[Pair], engine: str, folder: Path, workers: int,
             if finished:
                 monitor(what, done, len(pairs))
     finally:
-        # a worker's engine ends with its thread: nothing is left behind
+        over.set()  # on an error, or Ctrl-C, the engines that still run are ended: nothing is left behind
         pool.shutdown(wait=True, cancel_futures=True)
     return Run([field for field in fields if field is not None], cpu, peak, kept)
 

@@ -20,10 +20,17 @@ from lacli.motion.field import Field, pull
 from lacli.motion.tracking import Pair
 
 SEED = 20260420
-# The applied motion is a tracked one, already as smooth as the engine makes it, so the engine finds it more easily than it found the
-# true one: on the synthetic atria of benchmarks/track.py true errors are this many times those of the known motion.
+# The applied motion is a tracked one, already as smooth as the engine makes it, so the engine finds it more easily than it found
+# the true one: on the synthetic atria of benchmarks/track.py true errors are this many times those of the known motion.
 SMOOTHER = 1.35
+# of images of 1.0 mm (two atria: 1.2, 1.4); at 1.5 mm it was 1.4 - 1.7 (three atria)
+SMOOTHER_PER_MM = 0.5
 _PRIOR_SAMPLES = 8.0
+
+
+def known_motion_factor(voxel_mm: float) -> float:
+    """True errors over those of known motions, in voxels of that size."""
+    return SMOOTHER + SMOOTHER_PER_MM * max(0.0, voxel_mm - 1.0)
 
 
 @dataclass(frozen=True)
@@ -53,8 +60,8 @@ def surface_error(surface: Endocardium, error: FloatArray) -> SurfaceError:
 
 @dataclass(frozen=True)
 class Template:
-    """The patient's end-diastole with little noise: mean of all frames pulled back to it; the noise of one frame, sd (HU), and its
-    correlation over a voxel's step."""
+    """The patient's end-diastole with little noise: mean of all frames pulled back to it; the noise of one frame, sd (HU), and
+    its correlation over a voxel's step."""
 
     image: Image
     noise_hu: float
@@ -74,7 +81,9 @@ def template(ed: Image, frames: Sequence[Image], fields: Sequence[Field]) -> Tem
     size = 1.4826 * float(np.median(np.abs(rest))) / np.sqrt(1.0 + 1.0 / len(frames))
     small = np.abs(rest) < 3.0 * max(size, 1e-9)
     both = small[..., 1:] & small[..., :-1]
-    lag = float((rest[..., 1:] * rest[..., :-1])[both].mean() / max(float((rest[small] ** 2).mean()), 1e-12)) if both.any() else 0.0
+    lag = (
+        float((rest[..., 1:] * rest[..., :-1])[both].mean() / max(float((rest[small] ** 2).mean()), 1e-12)) if both.any() else 0.0
+    )
     return Template(ed.with_array(mean.astype(np.float32)), size, float(np.clip(lag, 0.0, 0.9)), 1.0 / len(frames))
 
 
@@ -144,8 +153,8 @@ def error_model(errors: Sequence[Mapping[str, float]], factor: float = SMOOTHER)
     """From the features' errors in several known motions.
 
     A region's sd is drawn towards that of its kind over all regions, since few motions tell it. Correlations are means over
-    regions and motions for each two kinds, within a region and between two. What frames share is the mean product of one feature's
-    errors in two motions.
+    regions and motions for each two kinds, within a region and between two. What frames share is the mean product of one
+    feature's errors in two motions.
     """
     keys = tuple(errors[0])
     e = factor * np.array([[row[key] for key in keys] for row in errors])
@@ -185,3 +194,33 @@ def nearest_correlation(matrix: FloatArray) -> FloatArray:
     kept = (vector * np.maximum(value, 1e-3)) @ vector.T
     size = np.sqrt(np.diag(kept))
     return kept / np.outer(size, size)
+
+
+def stated_model(surface: Endocardium, normal_mm: float, tangential_mm: float) -> ErrorModel:
+    """For a motion whose error is stated, not measured: sd along the normal and along each tangent, mm, taken as one shift of a
+    whole region (the worst case for its means), independent between regions, half shared between frames.
+
+    Strains err by the tangential sd at both ends of a region, over the root of its area.
+    """
+    keys = tuple(surface.features(surface.ed))
+    area = {name: float(surface.area[surface.region == number].sum()) for name, number in REGIONS.items()}
+    whole = float(surface.area.sum())
+    sd = []
+    for key in keys:
+        kind, region = kind_of(key)
+        if kind == "volume":
+            sd.append(normal_mm * whole / 1000.0)  # mm3 -> mL
+        elif kind.endswith("strain"):
+            sd.append(2.0**0.5 * tangential_mm / np.sqrt(area[region]) * (2.0 if kind == "area_strain" else 1.0))
+        else:
+            sd.append(
+                {"n": normal_mm, "a": tangential_mm, "b": tangential_mm}.get(kind, float(np.hypot(normal_mm, tangential_mm)))
+            )
+    return ErrorModel(keys, np.array(sd), np.eye(len(keys)), 0.5, 0)
+
+
+def stated_error(normal_mm: float, tangential_mm: float) -> SurfaceError:
+    """The same error everywhere."""
+    names = ("global", *REGIONS)
+    both = float(np.hypot(normal_mm, tangential_mm))
+    return SurfaceError(dict.fromkeys(names, both), dict.fromkeys(names, normal_mm), dict.fromkeys(names, tangential_mm))

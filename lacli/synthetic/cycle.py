@@ -10,6 +10,7 @@ from typing import Any
 import meshio
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.interpolate import CubicSpline, RBFInterpolator
 from scipy.sparse import csr_array
@@ -192,14 +193,14 @@ class SpaceField:
         v = inverse(points)
         return float(np.linalg.norm(v + self(points + v), axis=1).max())
 
-    def on_axes(self, axes: list[FloatArray]) -> FloatArray:
+    def on_axes(self, axes: list[FloatArray]) -> NDArray[np.float32]:
         """u on the grid of three axes of coordinates (mm): (len x, len y, len z, 3) of float32, by one spline an axis."""
-        value = self.values.astype(np.float32)
+        value: Any = self.values.astype(np.float32)
         for i, axis in enumerate(axes):
             weights = _spline_weights(self.values.shape[i], (axis - self.origin[i]) / self.spacing)
             flat = np.moveaxis(value, i, 0)
             value = np.moveaxis((weights @ flat.reshape(flat.shape[0], -1)).reshape(len(axis), *flat.shape[1:]), 0, i)
-        return value
+        return np.asarray(value, dtype=np.float32)
 
 
 def _spline_weights(count: int, index: FloatArray) -> Any:

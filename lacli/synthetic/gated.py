@@ -1,4 +1,4 @@
-"""A gated CT whose motion is known: one volume a frame, pulled back from end-diastole by a simulated cycle, noise fresh in each."""
+"""A gated CT whose motion is known: one volume a frame, end-diastole moved by a simulated cycle, each with its own noise."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _BLUR_SAMPLES = 5
 @dataclass(frozen=True)
 class Acquisition:
     """How the frames are taken. frames: per cycle, evenly from ED; voxel_mm (3,) along x, y, z; noise_hu: sd, white; blur: sd in
-    voxels; motion_blur: share of the cycle that one frame's exposure lasts; contrast_drift_hu: how far the blood falls over it."""
+    voxels; motion_blur: share of the cycle that one frame's exposure lasts; contrast_drift_hu: how far the blood falls."""
 
     frames: int = 10
     voxel_mm: tuple[float, float, float] = (1.0, 1.0, 1.0)

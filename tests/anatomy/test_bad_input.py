@@ -47,7 +47,7 @@ def test_an_output_that_cannot_be_made_is_refused_before_the_work(labels: Path, 
 def test_other_files_and_folders_are_looked_at_before_the_work(labels: Path, tmp_path: Path) -> None:
     for also, kind, words in (
         (tmp_path / "none" / "wall.vtk", StorageError, "its folder does not exist"),
-        (tmp_path / "wall.docx", UsageError, "no mesh format has the ending '.docx'"),
+        (tmp_path / "wall.docx", UsageError, "no format of tetrahedra has the ending '.docx'"),
     ):
         error = refused(f"mesh {labels} --la 2 --out {tmp_path}/a --also {also}")
         assert isinstance(error, kind) and words in str(error) and str(also) in str(error)

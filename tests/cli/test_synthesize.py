@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from lacli.anatomy.inputs.image import read
-from lacli.base.errors import AnatomyError, InputError, StorageError
+from lacli.base.errors import AnatomyError, InputError, StorageError, UsageError
 from lacli.cli.main import build
 from lacli.contracts.bundle import load
 from lacli.contracts.motion import load_motion
@@ -82,3 +83,26 @@ def test_images_come_with_it(tmp_path: Path) -> None:
     assert pool == pytest.approx(row["image_pool_ml"], rel=1e-6)
     assert 50 < pool < 85
     assert row["image_fat_ml"] > 1
+
+
+@pytest.mark.parametrize(
+    "options",
+    [["--frames", "3"], ["--noise-hu", "-1"], ["--heart-rate", "0"], ["--parameter", "alpha_roof"], ["--parameter", "a=1"]],
+)
+def test_a_gated_case_that_cannot_be_is_refused_before_anything_is_made(tmp_path: Path, options: list[str]) -> None:
+    with pytest.raises(UsageError):
+        run(str(tmp_path / "p"), "--gated", *options)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_a_gated_case_has_frames_and_a_truth_that_fits_them(tmp_path: Path) -> None:
+    """End-diastole is the bundle itself; the volume rises to the truth's ES; blood is where the truth says."""
+    options = [str(tmp_path / "p"), "--gated", "--frames", "4", "--voxel-mm", "2", "--cell-size-mm", "8", "--order", "1"]
+    row = json.loads(run(*options, "--volume-ml", "45", "--json"))[0]
+    assert row["esv_ml"] > 1.1 * row["edv_ml"]
+    frames = sorted((tmp_path / "p" / "frames").iterdir())
+    assert len(frames) == 4
+    with np.load(tmp_path / "p" / "truth" / "points.npz") as truth:
+        assert np.abs(truth["positions"][0] - load(tmp_path / "p" / "bundle").points[truth["point"]]).max() < 1e-9
+    assert json.loads(run(*options, "--volume-ml", "45", "--json"))[0]["esv_ml"] == row["esv_ml"]

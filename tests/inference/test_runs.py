@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from lacli.base.errors import LacliError, TableError, UsageError
-from lacli.contracts.failures import ATTEMPTS, MACHINE, SCENE
+from lacli.contracts.failures import MACHINE, MOST_ATTEMPTS, SCENE
 from lacli.contracts.identity import beside
 from lacli.inference.runs import Outcome, RunLog, runs_identity
 
@@ -100,17 +100,17 @@ class Interrupted(Simulator):
 
 def test_attempts_are_counted_through_restarts_and_end_with_the_reason(tmp_path: Path) -> None:
     asked = 0
-    for _ in range(ATTEMPTS - 1):
+    for _ in range(MOST_ATTEMPTS - 1):
         cut = Interrupted(troubles=["out_of_memory"])
         with pytest.raises(KeyboardInterrupt):
             log(tmp_path, cut).run(cut, X)
         asked += cut.asked.count(2.0)
-    assert pd.read_csv(tmp_path / "runs.csv")["attempts"].max() == ATTEMPTS - 1
+    assert pd.read_csv(tmp_path / "runs.csv")["attempts"].max() == MOST_ATTEMPTS - 1
     last = Simulator(troubles=["out_of_memory"] * 9)
     reason = r"1 of the runs were ended by the machine 3 times or more, the first at a 2, b 0\.2: out_of_memory .*812 MB.*--retry"
     with pytest.raises(LacliError, match=reason):
         log(tmp_path, last).run(last, X)
-    assert asked + last.asked.count(2.0) == ATTEMPTS
+    assert asked + last.asked.count(2.0) == MOST_ATTEMPTS
     assert last.asked.count(3.0) == 1, "the others are run"
     stuck = Simulator()
     with pytest.raises(LacliError, match=r"took up to 330 MB; \d+ of \d+ MB of memory are free here"):
@@ -126,7 +126,7 @@ def test_an_outcome_that_was_tried_often_enough_is_not_tried_more(tmp_path: Path
     class Patient(Simulator):
         def __call__(self, inputs: pd.DataFrame) -> Iterator[tuple[int, Outcome]]:
             self.asked += inputs["a"].tolist()
-            yield from ((i, Outcome({}, "failed", "killed", attempts=ATTEMPTS)) for i in range(len(inputs)))
+            yield from ((i, Outcome({}, "failed", "killed", attempts=MOST_ATTEMPTS)) for i in range(len(inputs)))
 
     one = Patient()
     with pytest.raises(LacliError, match="3 of the runs were ended by the machine"):

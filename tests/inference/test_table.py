@@ -90,7 +90,7 @@ def test_wrong_names_are_told_with_the_right_ones():
         ("a.csv", "x,y\n", "is empty"),
         ("a.csv", "x,x\n1,2\n", "occurs twice"),
         ("a.csv", "1.0,2.0\n3,4\n", "numbers, not column names"),
-        ("a.csv", "x;y\n0,5;1,5\n0,6;2,5\n", "more cells than the header line"),
+        ("a.csv", "x;y\n0,5;1,5\n0,6;2,5\n", "separated by semicolons. Separate them by commas"),
         ("a.csv", "x,y\n1,2,9\n3,4,9\n", "more cells than the header line"),
         ("a.parquet", "not parquet", "cannot be read as a table"),
     ],

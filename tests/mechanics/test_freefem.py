@@ -19,7 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lacli.base import process
-from lacli.base.errors import SolverMissingError
+from lacli.base.errors import MachineError, SolverMissingError
 from lacli.freefem import program as ff
 from lacli.freefem.program import FreeFem, build_plugin, find, parse_progress, parse_stop, run
 
@@ -80,6 +80,37 @@ def test_a_binary_that_does_not_run_is_named(freefem: FreeFem, monkeypatch: pyte
     monkeypatch.setenv("LACLI_FREEFEM", str(broken))
     with pytest.raises(SolverMissingError, match=r"does not run \(libblas.so.3: cannot open"):
         find()
+
+
+def test_a_probe_that_is_killed_is_told_as_killed(freefem: FreeFem, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    shot = tmp_path / "FreeFem++"
+    shot.write_text("#!/bin/sh\nkill -9 $$\n")
+    shot.chmod(shot.stat().st_mode | stat.S_IXUSR)
+    monkeypatch.setenv("LACLI_FREEFEM", str(shot))
+    with pytest.raises(MachineError, match=r"was killed from outside .SIGKILL. when it was tried. Run again") as error:
+        find()
+    assert error.value.kind == "killed"
+
+
+def test_a_file_larger_than_allowed_is_no_kill(freefem: FreeFem, tmp_path: Path) -> None:
+    text = '{ ofstream f("big.txt"); for (int i = 0; i < 40000; i++) f << i << endl; }\n' + DONE
+    file = script(tmp_path, text)
+    code = (
+        "import resource; from pathlib import Path; from lacli.freefem.program import find, run; freefem = find();"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 15, 1 << 15));"
+        f"outcome = run(freefem, Path({str(file)!r}), Path({str(tmp_path)!r}), 60); print(outcome.kind, outcome.message)"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert said.startswith("disk_full ") and "larger than allowed (ulimit -f, 32 kB)" in said and str(tmp_path) in said
+
+
+@pytest.mark.parametrize(("number", "kind"), [(-13, "out_of_memory"), (-10, "linear_solver")])
+def test_a_solver_without_memory_is_the_machines(freefem: FreeFem, tmp_path: Path, number: int, kind: str) -> None:
+    text = f'cout << "@ mumps error={number}" << endl; cout << "@ stop kind=linear_solver message=x" << endl; exit(4);\n'
+    outcome = run(freefem, script(tmp_path, text), tmp_path, 30)
+    assert outcome.kind == kind
+    recovered = f'cout << "@ mumps error={number}" << endl;\n' + DONE
+    assert run(freefem, script(tmp_path, recovered), tmp_path, 30).done
 
 
 def test_plugins_are_found_through_the_package_list(freefem: FreeFem, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

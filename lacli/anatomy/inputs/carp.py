@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import gzip
+import io
 import os
+import re
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +16,8 @@ from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import InputError
 
 CORNERS = {"Tt": 4, "Tr": 3, "Ln": 2, "Qd": 4, "Py": 5, "Pr": 6, "Hx": 8}
+MOST_BYTES = 256 << 20  # of text: six million elements
+FURTHEST_MM = 1e5
 
 
 @dataclass(frozen=True)
@@ -34,36 +39,47 @@ def read(prefix: Path) -> CarpMesh:
     Raises InputError on missing files, wrong counts, unknown or mixed elements, ids out of range, values that are no numbers.
     """
     base = stem(prefix)
-    rows = _lines(base, ".pts")
-    points = _numbers(base, ".pts", rows[1:], 3) / 1000.0
-    _count(base, ".pts", rows[0], len(points))
+    head, body = _text_of(base, ".pts")
+    points = _numbers(base, ".pts", body, (3,)) / 1000.0
+    _count(base, ".pts", head, len(points))
     if not np.isfinite(points).all():
         raise InputError(f"{base}.pts: point {int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])} is not finite.")
-    rows = _lines(base, ".elem")
-    kinds = sorted({row.split(None, 1)[0] for row in rows[1:]})
+    if np.abs(points).max() > FURTHEST_MM:
+        bad = int(np.argmax(np.abs(points).max(axis=1)))
+        raise InputError(
+            f"{base}.pts: point {bad} lies at {np.abs(points[bad]).max():.3g} mm; no heart does. CARP has micrometres."
+        )
+    head, body = _text_of(base, ".elem")
+    kinds = sorted(set(re.findall(r"^[ \t]*([^\s]+)", body, re.M)))
     if len(kinds) != 1 or kinds[0] not in ("Tt", "Tr"):
-        raise InputError(f"{base}.elem: expected only Tt, or only Tr elements, found {', '.join(kinds) or 'none'}.")
+        shown = ", ".join(kinds[:5]) or "none"
+        raise InputError(f"{base}.elem: expected only Tt, or only Tr elements, found {shown}.")
     corners = CORNERS[kinds[0]]
-    table = _numbers(base, ".elem", [row.split(None, 1)[1] if " " in row else "" for row in rows[1:]], None)
-    _count(base, ".elem", rows[0], len(table))
-    if table.shape[1] not in (corners, corners + 1):
-        raise InputError(f"{base}.elem: expected {corners} points and a tag per element, found {table.shape[1]} numbers.")
+    table = _numbers(base, ".elem", re.sub(r"^[ \t]*T[rt]", "", body, flags=re.M), (corners, corners + 1))
+    _count(base, ".elem", head, len(table))
+    if not np.isfinite(table).all() or np.any(table != np.round(table)) or np.abs(table).max() > 1 << 40:
+        raise InputError(f"{base}.elem: points and tags must be whole numbers.")
     cells = table[:, :corners].astype(np.int64)
     tag = table[:, corners].astype(np.int64) if table.shape[1] > corners else np.zeros(len(cells), dtype=np.int64)
     if cells.min() < 0 or cells.max() >= len(points):
-        raise InputError(f"{base}.elem: an element names point {int(cells.max())}, there are {len(points)} (numbered from 0).")
+        bad = int(cells.min()) if cells.min() < 0 else int(cells.max())
+        raise InputError(f"{base}.elem: an element names point {bad}, there are {len(points)} (numbered from 0).")
     fibre = sheet = None
     if _find(base, ".lon") is not None:
-        rows = _lines(base, ".lon")
-        # the first line is the number of directions, 1 or 2; some tools leave it out
-        head = rows[0].split()
-        body = rows[1:] if len(head) == 1 else rows
-        values = _numbers(base, ".lon", body, None)
-        if values.shape[1] not in (3, 6) or len(values) != len(cells):
-            raise InputError(f"{base}.lon: expected 3 or 6 numbers for each of {len(cells)} elements, found {values.shape}.")
-        fibre = values[:, :3]
-        sheet = values[:, 3:] if values.shape[1] == 6 else None
+        fibre, sheet = _directions(base, len(cells))
     return CarpMesh(points, kinds[0], cells, tag, fibre, sheet)
+
+
+def _directions(base: Path, cells: int) -> tuple[FloatArray, FloatArray | None]:
+    """Fibres, and sheets where there are two vectors. The first line is their number, 1 or 2; some tools leave it out."""
+    head, body = _text_of(base, ".lon")
+    said = {"1": 3, "2": 6}.get(head)
+    if said is None and len(head.split()) == 1:
+        raise InputError(f"{base}.lon: the first line is '{head[:20]}'; it must be the number of directions, 1 or 2.")
+    values = _numbers(base, ".lon", body if said else f"{head}\n{body}", (3, 6) if said is None else (said,))
+    if len(values) != cells:
+        raise InputError(f"{base}.lon: expected a line for each of {cells} elements, found {len(values)}.")
+    return values[:, :3], values[:, 3:] if values.shape[1] == 6 else None
 
 
 def write(mesh: CarpMesh, prefix: Path) -> list[Path]:
@@ -109,36 +125,44 @@ def _find(base: Path, ending: str) -> Path | None:
     return None
 
 
-def _lines(base: Path, ending: str) -> list[str]:
+def _text_of(base: Path, ending: str) -> tuple[str, str]:
+    """The first line, and the others; empty lines and comments (#) are left out."""
     file = _find(base, ending)
     if file is None:
         raise InputError(f"{base}{ending}: no such file (nor gzipped).")
     try:
-        content = gzip.decompress(file.read_bytes()).decode() if file.suffix == ".gz" else file.read_text()
-    except (OSError, EOFError, UnicodeDecodeError) as error:
+        with gzip.open(file) if file.suffix == ".gz" else file.open("rb") as stream:
+            content = stream.read(MOST_BYTES + 1)  # a compressed file is not unpacked any further
+        if len(content) > MOST_BYTES:
+            raise InputError(f"{file}: more than {MOST_BYTES >> 20} MB of text; is it the mesh of an atrium?")
+        text = content.decode()
+    except (OSError, EOFError, UnicodeDecodeError, zlib.error) as error:
         raise InputError(f"{file}: cannot be read ({error}).") from None
-    rows = [row for row in content.splitlines() if row.strip()]
-    if not rows:
+    text = re.sub(r"^[^\S\n]*(#[^\n]*)?\n?", "", text.replace("\r", "\n"), flags=re.M)
+    if not text.strip():
         raise InputError(f"{file}: the file is empty.")
-    return rows
+    head, _, body = text.partition("\n")
+    return head.strip(), body
 
 
-def _numbers(base: Path, ending: str, rows: list[str], columns: int | None) -> FloatArray:
+def _numbers(base: Path, ending: str, body: str, columns: tuple[int, ...]) -> FloatArray:
+    """(n, columns) of text with any white space; ``columns``: how many may stand in a line."""
+    if not body.strip():
+        raise InputError(f"{base}{ending}: the first line is all there is; the file may be truncated.")
     try:
-        values = np.array([row.split() for row in rows], dtype=np.float64)
+        values = np.loadtxt(io.StringIO(body), dtype=np.float64, ndmin=2, comments=None)
     except ValueError:
         raise InputError(
             f"{base}{ending}: a line is not made of numbers, or lines differ in length; the file may be truncated."
         ) from None
-    if values.ndim != 2 or (columns is not None and values.shape[1] != columns):
-        raise InputError(f"{base}{ending}: expected {columns or 'the same number of'} numbers a line.")
+    if values.shape[1] not in columns:
+        wanted = " or ".join(map(str, columns))
+        raise InputError(f"{base}{ending}: expected {wanted} numbers a line, found {values.shape[1]}.")
     return values
 
 
 def _count(base: Path, ending: str, head: str, found: int) -> None:
-    try:
-        said = int(head.split()[0])
-    except ValueError:
-        raise InputError(f"{base}{ending}: the first line must be the number of lines that follow.") from None
-    if said != found:
-        raise InputError(f"{base}{ending}: the first line promises {said} lines, there are {found}; the file is truncated.")
+    if not re.fullmatch(r"[0-9]{1,12}", head):
+        raise InputError(f"{base}{ending}: the first line must be the number of lines that follow, it is '{head[:20]}'.")
+    if int(head) != found:
+        raise InputError(f"{base}{ending}: the first line promises {int(head)} lines, there are {found}; the file is truncated.")

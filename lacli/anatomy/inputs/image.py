@@ -6,6 +6,7 @@ RAS affine is turned by the reader. Arrays are indexed [k, j, i] (ITK's index re
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -68,7 +69,8 @@ class Image:
         mirrored = ", and one is the mirror image of the other" if np.linalg.det(turn) < 0 else ""
         return [
             f"the NIfTI header holds two transforms that differ by {away:.3g} mm and {degrees:.3g} degrees at the atrium"
-            f"{mirrored}: the sform is used, as the standard has it, not the qform; correct the header if the image lies in the wrong place",
+            f"{mirrored}: the sform is used, as the standard has it, not the qform; correct the header if the image lies "
+            "in the wrong place",
             *self.notes,
         ]
 
@@ -104,6 +106,7 @@ def read(path: Path) -> Image:
     header = nifti.read_header(path) if path.name.lower().endswith(nifti.SUFFIXES) else None
     if header is not None:
         _check_size(path, header.shape, header.voxel_bytes)
+    grid = None if header is None else _nifti_grid(path, header)  # before the library, which has words of its own for it
     _check_nrrd(path)
     sitk.ProcessObject_SetGlobalWarningDisplay(False)
     reader = sitk.ImageFileReader()
@@ -112,7 +115,7 @@ def read(path: Path) -> Image:
         reader.ReadImageInformation()
         _check_components(path, reader.GetNumberOfComponents())
         _check_size(path, reader.GetSize(), _voxel_bytes(reader.GetPixelID()))
-        grid = _grid(path, header, reader)
+        grid = grid or _grid(path, header, reader)
         image = reader.Execute()
     except (RuntimeError, MemoryError) as error:
         reason = [line.strip() for line in str(error).splitlines() if line.strip()][-1:] or ["out of memory"]
@@ -178,33 +181,50 @@ def _times(values: Any) -> str:
     return " x ".join(f"{v:.4g}" if isinstance(v, float) else str(v) for v in values)
 
 
+def _nifti_grid(path: Path, header: nifti.Header) -> Image | None:
+    """An image without voxels at the place our own reading of the header gives, checked; None where it says nothing of it."""
+    affine = header.affine
+    if affine is None:
+        return None
+    spacing = np.linalg.norm(affine[:, :3], axis=0)
+    rival = None
+    if header.sform is not None and header.qform is not None:
+        corners = np.array(np.meshgrid(*[(0.0, s - 1.0) for s in header.shape[:3]])).reshape(3, -1)
+        apart = (header.sform - header.qform) @ np.vstack([corners, np.ones(8)])
+        rival = header.qform if np.linalg.norm(apart, axis=0).max() > 0.1 else None
+    return _checked(path, spacing, affine[:, 3], affine[:, :3] / np.maximum(spacing, 1e-300), header.unit, rival)
+
+
 def _grid(path: Path, header: nifti.Header | None, reader: Any) -> Image:
-    """An image without voxels: its place in space, checked. NIfTI's is our own reading of its header."""
+    """An image without voxels at the place the library gives, checked."""
     n = len(reader.GetSize())
     spacing, origin = np.array(reader.GetSpacing())[:3], np.array(reader.GetOrigin())[:3]
     direction = np.array(reader.GetDirection()).reshape(n, n)[:3, :3]
-    rival, notes = None, []
-    if header is not None and (affine := header.affine) is not None:
-        spacing, origin = np.linalg.norm(affine[:, :3], axis=0), affine[:, 3]
-        direction = affine[:, :3] / np.maximum(spacing, 1e-300)
-        if header.sform is not None and header.qform is not None:
-            corners = np.array(np.meshgrid(*[(0.0, s - 1.0) for s in header.shape[:3]])).reshape(3, -1)
-            apart = (header.sform - header.qform) @ np.vstack([corners, np.ones(8)])
-            rival = header.qform if np.linalg.norm(apart, axis=0).max() > 0.1 else None
-    elif header is not None:
-        notes.append("the NIfTI header has neither qform nor sform: where left and right, front and back are is a guess")
+    notes = ["the NIfTI header has neither qform nor sform: where left and right, front and back are is a guess"]
+    return _checked(path, spacing, origin, direction, "" if header is None else header.unit, None, notes if header else ())
+
+
+def _checked(
+    path: Path,
+    spacing: FloatArray,
+    origin: FloatArray,
+    direction: FloatArray,
+    unit: str,
+    rival: FloatArray | None,
+    notes: Any = (),
+) -> Image:
     if not (np.isfinite(spacing).all() and np.isfinite(origin).all() and np.isfinite(direction).all()):
         raise InputError(f"{path}: the affine (spacing, origin or direction) has a value that is not finite; correct the header.")
     if np.any(spacing <= 0) or np.any(np.abs(np.linalg.norm(direction, axis=0) - 1.0) > 1e-3):
         raise InputError(f"{path}: the affine is singular or has no voxel size (spacing {_times(spacing)}); correct the header.")
     _check_perpendicular(path, direction)
-    _check_spacing(path, spacing, "" if header is None else header.unit)
+    _check_spacing(path, spacing, unit)
     return Image(np.zeros((0, 0, 0)), spacing, origin, direction, rival, tuple(notes))
 
 
 def _check_perpendicular(path: Path, direction: FloatArray) -> None:
     pairs = ((0, 1), (0, 2), (1, 2))
-    off = [float(np.degrees(np.arcsin(min(1.0, abs(direction[:, a] @ direction[:, b]))))) for a, b in pairs]
+    off = [math.degrees(math.asin(min(1.0, abs(float(direction[:, a] @ direction[:, b]))))) for a, b in pairs]
     worst = int(np.argmax(off))
     if off[worst] > 89.0:
         raise InputError(f"{path}: the affine is singular, two of the image's axes are the same; correct the header.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,12 @@ from scipy.spatial import cKDTree
 from lacli.anatomy.inputs import carp
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import AnatomyError, InputError, UsageError
+from lacli.base.quiet import quiet, reason
 from lacli.contracts.bundle import Bundle
+from lacli.contracts.labels import ENDO, EPI, OTHER, PLANES, REGIONS, RINGS, is_body
 
+# meshio writes these without a tetrahedron, or as pictures
+_NO_CELLS = frozenset([".stl", ".ply", ".obj", ".off", ".svg", ".tikz", ".wkt", ".post", ".gz", ".hmf"])
 FIBRE_NAMES = ("fibre", "fiber", "fibres", "fibers", "Fibre", "fibre_direction")
 
 
@@ -37,17 +42,56 @@ def write(bundle: Bundle, path: Path) -> None:
         points["uac"] = np.column_stack([points["uac"], np.zeros(len(bundle.points))])
     temporary = path.with_name(f".part-{os.getpid()}-{path.name}")
     try:
-        meshio.write(temporary, meshio.Mesh(bundle.points, [(kind, bundle.tets)], point_data=points, cell_data=cells))
+        with quiet(meshio=True):
+            if path.suffix == ".msh":
+                meshio.gmsh.write(temporary, _gmsh(bundle), fmt_version="2.2", binary=True)
+            else:
+                meshio.write(temporary, meshio.Mesh(bundle.points, [(kind, bundle.tets)], point_data=points, cell_data=cells))
     except Exception as error:
         temporary.unlink(missing_ok=True)
         raise AnatomyError(f"{path}: meshio cannot write this format ({type(error).__name__}: {error}).") from None
     temporary.replace(path)
 
 
+def _gmsh(bundle: Bundle) -> meshio.Mesh:
+    """Cells and boundary with Gmsh's physical groups: regions (dimension 3) and tags (dimension 2) by number and name."""
+    volume, face = ("tetra", "triangle") if bundle.order == 1 else ("tetra10", "triangle6")
+    regions = {**REGIONS, **{f"ring_{n}": v for n, v in RINGS.items()}, **{f"plane_{n}": v for n, v in PLANES.items()}}
+    sides = {"endocardium": ENDO, "epicardium": EPI, "other": OTHER}
+    sides |= {f"surface_ring_{n}": v for n, v in RINGS.items()} | {f"surface_plane_{n}": v for n, v in PLANES.items()}
+    names = {n: np.array([v, 3]) for n, v in regions.items() if np.any(bundle.region == v)}
+    names |= {n: np.array([v, 2]) for n, v in sides.items() if np.any(bundle.tags == v)}
+    groups = [bundle.region.astype(np.int32), bundle.tags.astype(np.int32)]
+    points = {n: v for n in ("transmural", "pericardium_coordinate") if (v := getattr(bundle, n)) is not None}
+    if bundle.uac is not None:
+        points["uac"] = np.column_stack([bundle.uac, np.zeros(len(bundle.points))])
+    data: dict[str, list[Any]] = {"gmsh:physical": groups, "gmsh:geometrical": groups}
+    if bundle.fibre is not None:
+        data["fibre"] = [bundle.fibre, np.zeros((len(bundle.triangles), 3))]
+    return meshio.Mesh(bundle.points, [(volume, bundle.tets), (face, bundle.triangles)], points, data, field_data=names)
+
+
+def check_surface(path: Path) -> None:
+    """Raise InputError where a file that is given as a surface says at its beginning that it holds an image or a grid."""
+    if path.suffix.lower() not in (".vtk", ".vtp", ".vtu", ".vti", ".vtr", ".vts") or not path.is_file():
+        return
+    with path.open("rb") as stream:
+        head = stream.read(4096)
+    found = re.search(rb"^\s*DATASET\s+(\w+)", head, re.M | re.I) or re.search(rb"<VTKFile[^>]*?type\s*=\s*[\"'](\w+)", head)
+    kind = found[1].decode().upper().replace("_", "") if found else ""
+    if kind in ("STRUCTUREDPOINTS", "IMAGEDATA"):
+        raise InputError(
+            f"{path}: the file holds an image (VTK {found[1].decode() if found else ''}), not a surface. "
+            "A label map is read as NRRD, NIfTI or MetaImage: convert it."
+        )
+    if kind in ("RECTILINEARGRID", "STRUCTUREDGRID", "FIELD", "TABLE"):
+        raise InputError(f"{path}: the file holds a {found[1].decode() if found else ''} of VTK, not a surface of triangles.")
+
+
 def check_ending(path: Path) -> None:
     """Raises UsageError where ``write`` knows no format by this name's ending."""
-    if path.suffix not in (".pts", ".elem", ".lon", *meshio.extension_to_filetypes):
-        raise UsageError(f"{path}: no mesh format has the ending '{path.suffix}'; use .pts (CARP), .vtk, .vtu or .msh.")
+    if path.suffix in _NO_CELLS or path.suffix not in (".pts", ".elem", ".lon", *meshio.extension_to_filetypes):
+        raise UsageError(f"{path}: no format of tetrahedra has the ending '{path.suffix}'; use .pts (CARP), .vtk, .vtu or .msh.")
 
 
 def _corners(bundle: Bundle) -> NDArray[np.int64]:
@@ -76,9 +120,10 @@ def read_fibres(path: Path) -> tuple[FloatArray, FloatArray]:
         if not path.is_file():
             raise InputError(f"{path}: no such file.")
         try:
-            data = meshio.read(path)
+            with quiet(meshio=True):
+                data = meshio.read(path)
         except (Exception, SystemExit) as error:  # meshio ends the program on some formats
-            raise InputError(f"{path}: the mesh cannot be read ({type(error).__name__}: {error}).") from None
+            raise InputError(f"{path}: the mesh cannot be read ({reason(error)}).") from None
         name = next((n for n in FIBRE_NAMES if n in data.cell_data), None)
         if name is None:
             raise InputError(
@@ -91,8 +136,17 @@ def read_fibres(path: Path) -> tuple[FloatArray, FloatArray]:
             raise InputError(f"{path}: no tetrahedra or triangles carry fibres.")
         width = {"tetra": 4, "tetra10": 4, "triangle": 3}
         centre = np.concatenate([data.points[b.data[:, : width[b.type]]].mean(axis=1) for b, _ in pairs])
-        fibre = np.concatenate([np.asarray(v, dtype=float) for _, v in pairs])
-    size = np.linalg.norm(fibre, axis=1, keepdims=True)
+        fibres = [np.asarray(v) for _, v in pairs]
+        if any(v.ndim != 2 or v.shape[1] != 3 or v.dtype.kind not in "fiu" for v in fibres):
+            shape = next(v.shape for v in fibres if v.ndim != 2 or v.shape[1] != 3 or v.dtype.kind not in "fiu")
+            raise InputError(f"{path}: '{name}' must have three components for each cell, its shape is {shape}.")
+        if any(b.data.min() < 0 or b.data.max() >= len(data.points) for b, _ in pairs):
+            raise InputError(f"{path}: a cell names a point that does not exist; export the file again.")
+        fibre = np.concatenate(fibres).astype(float)
+    if not np.isfinite(centre).all() or np.abs(centre).max() > carp.FURTHEST_MM:
+        raise InputError(f"{path}: a point of the mesh is not finite, or further away than a heart can be.")
+    with quiet():
+        size = np.linalg.norm(fibre, axis=1, keepdims=True)
     if not np.isfinite(size).all() or (size < 1e-6).any():
         raise InputError(f"{path}: {int((~np.isfinite(size) | (size < 1e-6)).sum())} fibres are zero or not finite.")
     return centre, fibre / size
@@ -105,7 +159,7 @@ def carry_fibres(bundle: Bundle, centre: FloatArray, fibre: FloatArray, reach_mm
     """
     query = cKDTree(centre).query(bundle.points[bundle.tets[:, :4]].mean(axis=1))
     distance, nearest = (np.asarray(values) for values in query)
-    wall = bundle.region < 10
+    wall = is_body(bundle.region)
     if np.median(distance[wall]) > reach_mm:
         raise AnatomyError(
             f"the fibres' mesh lies {np.median(distance[wall]):.1f} mm away from the wall (median); "

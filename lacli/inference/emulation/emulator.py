@@ -12,7 +12,7 @@ from lacli.base.arrays import BoolArray, FloatArray
 from lacli.base.threads import single_threaded
 from lacli.contracts.table import RunTable
 from lacli.inference.emulation import gp
-from lacli.inference.emulation.scales import OutputScale, Scaled, choose_scales, coordinates, scale
+from lacli.inference.emulation.scales import OutputScale, Scaled, choose_scales, coordinates, may_be_logarithmic, scale
 
 # calibration: this share of the cross-validation errors is to lie within two standard deviations
 _TARGET_COVERAGE = 0.955
@@ -57,11 +57,19 @@ class Emulator:
 
 @single_threaded
 def fit_emulator(
-    x: FloatArray, y: FloatArray, output: str = "y", error_sd: FloatArray | None = None, *, starts: int = 3, seed: int = 0
+    x: FloatArray,
+    y: FloatArray,
+    output: str = "y",
+    error_sd: FloatArray | None = None,
+    *,
+    starts: int = 3,
+    seed: int = 0,
+    may_log: BoolArray | None = None,
 ) -> Emulator:
     """Fit one output.
 
-    x (n, d); y (n,); error_sd (n,) known noise, one standard deviation, or None. The scales of the output and of each
+    x (n, d); y (n,); error_sd (n,) known noise, one standard deviation, or None; may_log (d,): inputs that may be taken on a
+    logarithmic scale, by the runs where None. The scales of the output and of each
     input are those of greatest restricted likelihood (``scales``). The same seed gives the same bits.
     """
     rng = np.random.default_rng(seed)
@@ -69,7 +77,7 @@ def fit_emulator(
     start = gp.starting_points(x.shape[1], starts, rng)
     # scales are chosen on at most _SELECTION runs (every few of a design in random order): the cost grows as n^3
     every = np.arange(0, len(x), max(1, -(-len(x) // _SELECTION)))
-    choice = choose_scales(x[every], y[every], noise_sd[every], start[0])
+    choice = choose_scales(x[every], y[every], noise_sd[every], start[0], may_be_logarithmic(x) if may_log is None else may_log)
     data = scale(x, y, noise_sd, choice.data.log_inputs, choice.data.output)
     theta, value = gp.maximise(data.u, data.y, data.noise, [choice.theta, *start[1:]])
     # the order in which runs tell most: the first few already bound the variance from above (EmulatorSet.screen)
@@ -137,11 +145,19 @@ def _needed_inflation(data: Scaled, y: FloatArray, mean: FloatArray, variance: F
     return np.exp(high)
 
 
-def fit_emulators(table: RunTable, *, starts: int = 3, seed: int = 0, tick: Callable[[], None] | None = None) -> list[Emulator]:
-    """An emulator for each output of the table, in its order; ``tick`` is called after each."""
+def fit_emulators(
+    table: RunTable,
+    *,
+    starts: int = 3,
+    seed: int = 0,
+    tick: Callable[[], None] | None = None,
+    may_log: BoolArray | None = None,
+) -> list[Emulator]:
+    """An emulator for each output of the table, in its order; ``tick`` is called after each; may_log as in
+    ``fit_emulator``."""
     result = []
     for j, name in enumerate(table.outputs):
-        result.append(fit_emulator(table.x, table.y[:, j], name, table.error_sd[:, j], starts=starts, seed=seed))
+        result.append(fit_emulator(table.x, table.y[:, j], name, table.error_sd[:, j], starts=starts, seed=seed, may_log=may_log))
         if tick is not None:
             tick()
     return result

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import InputError
-from lacli.base.files import DAMAGED, replacing
+from lacli.base.files import replacing
+from lacli.base.schema import Array, array_file, unfit
 from lacli.base.threads import one_thread
 from lacli.contracts.identity import Identity, array_digest, identify
 from lacli.contracts.table import RunTable
@@ -21,6 +22,23 @@ from lacli.inference.emulation.emulator import Emulator
 from lacli.inference.emulation.scales import OutputScale
 
 FORMAT = 2
+_REMEDY = "Run `lacli emulate` again."
+_NAMES = {
+    "inputs": Array("text", ("d",), distinct=True),
+    "outputs": Array("text", ("p",), distinct=True),
+}
+# of each output; u: the training inputs, in [-1, 1] but for rounding
+_EACH = {
+    "log_inputs": Array("bool", ("d",)),
+    "low": Array(shape=("d",)),
+    "high": Array(shape=("d",)),
+    "scales": Array(shape=(5,)),
+    "quality": Array(shape=(4,)),
+    "theta": Array(shape=("theta",)),
+    "u": Array(shape=("n", "d"), least=-1.0 - 1e-6, most=1.0 + 1e-6),
+    "y": Array(shape=("n",)),
+    "noise": Array(shape=("n",), least=0.0),
+}
 # runs whose correlations bound the variance from above in a first look
 _HEAD = 64
 
@@ -260,23 +278,56 @@ def load_emulators(path: Path) -> EmulatorSet:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such emulator file. Make it with `lacli emulate`.")
+    with array_file(path, "an emulator file", _REMEDY) as file, one_thread():
+        number = int(file.read({"format": Array("int")})["format"])
+        if number != FORMAT:
+            raise InputError(f"{path}: written in format {number}, this program reads {FORMAT}. {_REMEDY}")
+        head = file.read(_NAMES)
+        if not len(head["inputs"]) or not len(head["outputs"]):
+            raise unfit("it names no input or no output")
+        emulators = []
+        for i, output in enumerate(head["outputs"].tolist()):
+            a = file.read({f"{i}_{name}": array for name, array in _EACH.items()})
+            emulators.append(_emulator(output, {name: a[f"{i}_{name}"] for name in _EACH}))
+        result = EmulatorSet(tuple(head["inputs"].tolist()), tuple(emulators))
+        _check_common_range(result)
+    return result
+
+
+def _emulator(output: str, a: dict[str, Any]) -> Emulator:
+    log, offset, sign, shift, scale = (float(v) for v in a["scales"])
+    inflation, r2, error_sd, objective = (float(v) for v in a["quality"])
+    d, n = len(a["low"]), len(a["y"])
+    bounds = np.array([gp.LENGTH_BOUNDS] * d + [gp.S2_BOUNDS, gp.ETA_BOUNDS])
+    if len(a["theta"]) != d + 2:
+        raise unfit(f"{output}: {len(a['theta'])} hyperparameters for {d} inputs, {d + 2} are expected")
+    if n < d + 2:
+        raise unfit(f"{output}: {n} runs for {d} inputs")
+    if (a["theta"] < np.log(bounds[:, 0]) - 1e-9).any() or (a["theta"] > np.log(bounds[:, 1]) + 1e-9).any():
+        raise unfit(f"{output}: a hyperparameter is out of its bounds")
+    if (a["low"] >= a["high"]).any():
+        raise unfit(f"{output}: an input's range is empty")
+    if log not in (0.0, 1.0) or abs(sign) != 1.0 or scale <= 0 or inflation <= 0 or r2 > 1.0 or error_sd < 0:
+        raise unfit(f"{output}: a scale or score is none that a fit gives")
     try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as a, one_thread():
-            if int(a["format"]) != FORMAT:
-                raise InputError(
-                    f"{path}: written in format {int(a['format'])}, this program reads {FORMAT}. Run `lacli emulate` again."
-                )
-            emulators = []
-            for i, output in enumerate(a["outputs"]):
-                log, offset, sign, shift, scale = (float(v) for v in a[f"{i}_scales"])
-                inflation, r2, error_sd, objective = (float(v) for v in a[f"{i}_quality"])
-                process = gp.condition(a[f"{i}_theta"], a[f"{i}_u"], a[f"{i}_y"], a[f"{i}_noise"], objective)
-                emulators.append(
-                    Emulator(
-                        str(output), a[f"{i}_log_inputs"], a[f"{i}_low"], a[f"{i}_high"],
-                        OutputScale(bool(log), offset, sign), shift, scale, inflation, r2, error_sd, process,
-                    )
-                )  # fmt: skip
-            return EmulatorSet(tuple(str(name) for name in a["inputs"]), tuple(emulators))
-    except (*DAMAGED, np.linalg.LinAlgError) as error:
-        raise InputError(f"{path}: not an emulator file, or a damaged one ({error}). Run `lacli emulate` again.") from error
+        process = gp.condition(a["theta"], a["u"], a["y"], a["noise"], objective)
+    except np.linalg.LinAlgError as error:
+        raise unfit(f"{output}: its runs carry no linear mean ({error})") from error
+    return Emulator(
+        output, a["log_inputs"], a["low"], a["high"], OutputScale(bool(log), offset, sign), shift, scale, inflation, r2,
+        error_sd, process,
+    )  # fmt: skip
+
+
+def _check_common_range(emulators: EmulatorSet) -> None:
+    """All outputs were learnt from the same runs: their inputs' ranges agree."""
+
+    def ends(e: Emulator) -> FloatArray:
+        with np.errstate(over="ignore"):
+            return np.array([np.where(e.log_inputs, np.exp(np.where(e.log_inputs, v, 0.0)), v) for v in (e.low, e.high)])
+
+    first = ends(emulators.emulators[0])
+    for e in emulators.emulators:
+        mine = ends(e)
+        if not np.isfinite(mine).all() or (np.abs(mine - first) > 1e-6 * (first[1] - first[0])).any():
+            raise unfit(f"{e.output}: its inputs' ranges are not those of {emulators.outputs[0]}")

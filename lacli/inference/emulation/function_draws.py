@@ -14,12 +14,29 @@ from lacli.inference.emulation import gp
 from lacli.inference.emulation.emulator import Emulator
 
 _FEATURES = 512
+# functions drawn with one set of hyperparameters
+_EACH = 4
 
 
 def draw_functions(emulator: Emulator, x: FloatArray, draws: int, seed: int) -> FloatArray:
-    """Values (m, draws) at x (m, d) of functions drawn from the emulator (without nugget), in the output's units."""
-    g = emulator.process
+    """Values (m, draws) at x (m, d) of functions drawn from the emulator (without nugget), in the output's units.
+
+    The hyperparameters are drawn too: at fixed ones an input that the fit calls inactive moves no function, and an index
+    near zero would be far more certain than it is.
+    """
     rng = np.random.default_rng(seed)
+    fitted = emulator.process
+    groups = -(-draws // _EACH)
+    u = emulator.to_u(x)
+    values = []
+    for i, theta in enumerate(gp.plausible_thetas(fitted, groups, rng)):
+        process = gp.condition(theta, fitted.u, fitted.y, fitted.noise)
+        values.append(_draw(process, u, min(_EACH, draws - i * _EACH), emulator.inflation, rng))
+    return emulator.output_scale.backward(emulator.shift + emulator.scale * np.hstack(values))
+
+
+def _draw(g: gp.GP, at: FloatArray, draws: int, inflation: float, rng: np.random.Generator) -> FloatArray:
+    """Values (m, draws) of the process at ``at`` (m, d), its coordinates; deviations from the mean widened by inflation."""
     d = g.u.shape[1]
     omega = rng.standard_normal((d, _FEATURES)) / g.lengths[:, None]
     phase = rng.uniform(0.0, 2.0 * np.pi, _FEATURES)
@@ -33,14 +50,14 @@ def draw_functions(emulator: Emulator, x: FloatArray, draws: int, seed: int) -> 
     residual = g.y[:, None] - prior(g.u) - noise
     beta = g.c.T @ (g.c @ (g.g @ residual))
     solved = g.inverse_factor.T @ (g.inverse_factor @ (residual - gp.basis(g.u) @ beta))
-    values = np.empty((len(x), draws))
+    values = np.empty((len(at), draws))
     z = g.u / g.lengths
-    for begin in range(0, len(x), 2048):
-        u = emulator.to_u(x[begin : begin + 2048])
+    for begin in range(0, len(at), 2048):
+        u = at[begin : begin + 2048]
         zs = u / g.lengths
         k = g.s2 * np.exp(np.minimum(zs @ z.T - 0.5 * (zs**2).sum(1)[:, None] - 0.5 * (z**2).sum(1), 0.0))
         h = gp.basis(u)
         mean = h @ g.beta + k @ g.alpha
         draw = prior(u) + h @ beta + k @ solved
-        values[begin : begin + 2048] = mean[:, None] + np.sqrt(emulator.inflation) * (draw - mean[:, None])
-    return emulator.output_scale.backward(emulator.shift + emulator.scale * values)
+        values[begin : begin + 2048] = mean[:, None] + np.sqrt(inflation) * (draw - mean[:, None])
+    return values

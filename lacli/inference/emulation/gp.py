@@ -26,6 +26,9 @@ _LENGTH_PRIOR = (np.log(3.0), 2.0)
 _S2_PRIOR = (0.0, 3.0)
 _ETA_PRIOR = (np.log(1e-3), 3.0)
 _START_LENGTH = 2.0
+# drawing hyperparameters: step of the second derivatives, widest standard deviation of a flat direction (its prior's),
+# candidates for each one drawn
+_HESSIAN_STEP, _WIDEST, _CANDIDATES = 1e-3, 2.0, 6
 _START_ETA = 1e-3
 
 
@@ -164,6 +167,31 @@ def starting_points(d: int, count: int, rng: np.random.Generator) -> list[FloatA
     for _ in range(count - 1):
         starts.append(np.log(np.r_[np.exp(rng.uniform(np.log(0.5), np.log(10.0), d)), 1.0, 10.0 ** rng.uniform(-5, -1)]))
     return starts
+
+
+def plausible_thetas(process: GP, count: int, rng: np.random.Generator) -> FloatArray:
+    """Hyperparameters (count, d + 2) drawn from their posterior: a normal approximation at the fitted ones, corrected by
+    importance resampling (weights tempered so far that ``count`` different ones are left)."""
+    data = (process.u, process.y, process.noise)
+    centre, size = process.theta, len(process.theta)
+    hessian = np.empty((size, size))
+    for i, step in enumerate(_HESSIAN_STEP * np.eye(size)):
+        ahead, behind = (negative_log_likelihood(centre + s * step, *data)[1] for s in (1.0, -1.0))
+        hessian[i] = (ahead - behind) / (2.0 * _HESSIAN_STEP)
+    value, vector = np.linalg.eigh(0.5 * (hessian + hessian.T))
+    root = vector / np.sqrt(np.maximum(value, 1.0 / _WIDEST**2))
+    z = rng.standard_normal((_CANDIDATES * count, size))
+    bounds = np.log(np.array([LENGTH_BOUNDS] * (size - 2) + [S2_BOUNDS, ETA_BOUNDS]))
+    thetas = np.clip(centre + z @ root.T, bounds[:, 0], bounds[:, 1])
+    objective = np.array([negative_log_likelihood(theta, *data)[0] for theta in thetas])
+    weight = 0.5 * (z**2).sum(1) - objective
+    weight -= weight.max()
+    for _ in range(20):
+        share = np.exp(weight) / np.exp(weight).sum()
+        if 1.0 / (share**2).sum() >= count:
+            break
+        weight *= 0.7
+    return thetas[np.searchsorted(np.cumsum(share), (np.arange(count) + rng.random()) / count).clip(max=len(thetas) - 1)]
 
 
 def pivots(theta: FloatArray, u: FloatArray) -> NDArray[np.int64]:

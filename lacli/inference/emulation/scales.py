@@ -104,11 +104,18 @@ class _Choice:
     evidence: float
 
 
-def choose_scales(x: FloatArray, y: FloatArray, error_sd: FloatArray, start: FloatArray) -> _Choice:
+def may_be_logarithmic(x: FloatArray) -> BoolArray:
+    """Whether each input may act on a logarithmic scale (d,): positive, and over a wide ratio, in x (n, d): all points where
+    the emulator will be asked, or their extremes."""
+    low = x.min(0)
+    return np.asarray((low > 0) & (x.max(0) > _LOG_RATIO * np.maximum(low, 1e-300)), bool)
+
+
+def choose_scales(x: FloatArray, y: FloatArray, error_sd: FloatArray, start: FloatArray, may_log: BoolArray) -> _Choice:
     """The scales of greatest restricted likelihood for runs x (n, d), y (n,), climbing from theta ``start`` (d + 2,).
 
-    Linear and logarithmic inputs all together, then one by one; the output linear, logarithmic (where positive) or as a
-    shifted logarithm to either side.
+    may_log (d,): inputs that may be logarithmic. Linear and logarithmic inputs all together, then one by one; the output
+    linear, logarithmic (where positive) or as a shifted logarithm to either side.
     """
 
     def fitted(log_inputs: BoolArray, output: OutputScale, theta: FloatArray, iterations: int) -> _Choice:
@@ -116,7 +123,7 @@ def choose_scales(x: FloatArray, y: FloatArray, error_sd: FloatArray, start: Flo
         found, value = gp.maximise(data.u, data.y, data.noise, [theta], max_iterations=iterations)
         return _Choice(data, found, _evidence(data, value))
 
-    eligible = (x.min(0) > 0) & (x.max(0) > _LOG_RATIO * np.maximum(x.min(0), 1e-300))
+    eligible = may_log & (x.min(0) > 0)
     input_scales = [np.zeros(x.shape[1], bool), eligible] if eligible.any() else [np.zeros(x.shape[1], bool)]
     output_scales = [OutputScale(), OutputScale(True)] if y.min() > 0 else [OutputScale()]
     best = max((fitted(i, o, start, 200) for o in output_scales for i in input_scales), key=lambda choice: choice.evidence)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from lacli.base.arrays import FloatArray
+from lacli.base.arrays import BoolArray, FloatArray
 from lacli.contracts.table import RunTable
 from lacli.inference.emulation.emulator import fit_emulator, folds
+from lacli.inference.emulation.scales import may_be_logarithmic
 
 
 @dataclass(frozen=True)
@@ -43,22 +45,32 @@ def score(y: FloatArray, mean: FloatArray, variance: FloatArray) -> tuple[float,
 
 
 def cross_validate(
-    table: RunTable, *, count: int = 5, starts: int = 3, seed: int = 0, tick: Callable[[], None] | None = None
+    table: RunTable,
+    *,
+    count: int = 5,
+    starts: int = 3,
+    seed: int = 0,
+    tick: Callable[[], None] | None = None,
+    may_log: BoolArray | None = None,
 ) -> list[Scores]:
-    """Scores of every output over ``count`` folds; scales, hyperparameters and calibration are refitted in each fold."""
+    """Scores of every output over ``count`` folds; scales, hyperparameters and calibration are refitted in each fold;
+    may_log as in ``fit_emulator``."""
+    # by all runs: a fold that lacks the run at 0 would take a logarithm there
+    may_log = may_be_logarithmic(table.x) if may_log is None else may_log
+    options: dict[str, Any] = {"starts": starts, "seed": seed, "may_log": may_log}
     parts = folds(table.runs, count, np.random.default_rng(seed))
     result = []
     for j, output in enumerate(table.outputs):
         mean, variance = np.empty(table.runs), np.empty(table.runs)
         for part in parts:
             rest = np.setdiff1d(np.arange(table.runs), part)
-            emulator = fit_emulator(table.x[rest], table.y[rest, j], output, table.error_sd[rest, j], starts=starts, seed=seed)
+            emulator = fit_emulator(table.x[rest], table.y[rest, j], output, table.error_sd[rest, j], **options)
             mean[part], variance[part] = emulator.predict(table.x[part])
             if tick is not None:
                 tick()
         variance += table.error_sd[:, j] ** 2  # a run's own discretisation error is part of what is compared with
         begin = time.process_time()
-        fit_emulator(table.x, table.y[:, j], output, table.error_sd[:, j], starts=starts, seed=seed)
+        fit_emulator(table.x, table.y[:, j], output, table.error_sd[:, j], **options)
         cpu = time.process_time() - begin
         r2, ise, nlpd = score(table.y[:, j], mean, variance)
         result.append(Scores(output, r2, ise, nlpd, cpu, mean, np.sqrt(variance)))

@@ -1,0 +1,144 @@
+"""Targets from a tracked motion: features at end-systole and in every frame, their standard deviations and covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline, PchipInterpolator
+
+from lacli.anatomy.surface_features import Endocardium
+from lacli.base.arrays import FloatArray
+from lacli.base.errors import InputError, UsageError
+from lacli.contracts.features import PUBLISHED, at_time
+from lacli.contracts.targets import Targets
+from lacli.motion.phases import Phases, phases_of
+from lacli.motion.uncertainty import ErrorModel
+
+PUBLISHED_VOLUME_SHARE = 0.05
+# a frame this near to ES, as a share of the cycle, shows ES itself: it would be the same target twice
+SAME_TIME = 0.02
+_NUGGET = 1e-4
+_LEAST_RISE = 0.01
+
+
+@dataclass(frozen=True)
+class Course:
+    """The endocardium through the cycle: times (f,) from 0 below 1, positions (f, n, 3) mm, features per frame, phases."""
+
+    surface: Endocardium
+    times: FloatArray
+    positions: FloatArray
+    features: list[dict[str, float]]
+    phases: Phases
+
+    @classmethod
+    def of(cls, surface: Endocardium, times: FloatArray, displacement: FloatArray) -> Course:
+        """From the displacement (f, n, 3) mm of the bundle's points. InputError where the volume never rises from ED."""
+        positions = surface.ed + displacement
+        features = [surface.features(x) for x in positions]
+        volume = np.array([row["volume_ml"] for row in features])
+        if volume.max() < (1.0 + _LEAST_RISE) * volume[0]:
+            raise InputError(
+                f"the volume does not rise from the first frame ({volume[0]:.1f} mL, at most {volume.max():.1f} mL later): "
+                "there is no end-systole. Is the first frame end-diastole, and the bundle made from it?"
+            )
+        return cls(surface, times, positions, features, phases_of(times, volume))
+
+    def positions_at(self, time: float) -> FloatArray:
+        """(n, 3) mm at any time of the cycle: third-order spline per point through the frames, periodic."""
+        closed = np.concatenate([self.positions, self.positions[:1]])
+        spline = CubicSpline(np.append(self.times, 1.0), closed.reshape(len(closed), -1), axis=0, bc_type="periodic")
+        return np.asarray(spline(time)).reshape(self.positions.shape[1:])
+
+    def features_at(self, time: float) -> dict[str, float]:
+        """All features at any time of the cycle."""
+        return self.surface.features(self.positions_at(time))
+
+    def interpolation_error(self, time: float) -> dict[str, float]:
+        """By how much a feature at a time depends on how one interpolates: cubic spline less monotone cubic; 0 at a frame."""
+        t = np.concatenate([self.times - 1.0, self.times, self.times + 1.0])
+        smooth = self.features_at(time)
+        result = {}
+        for key, value in smooth.items():
+            course = np.array([row[key] for row in self.features])
+            result[key] = value - float(PchipInterpolator(t, np.tile(course, 3))(time))
+        return result
+
+    def weights(self, time: float) -> FloatArray:
+        """(f,): how much each frame counts in what is interpolated at a time."""
+        one = np.eye(len(self.times))
+        spline = CubicSpline(np.append(self.times, 1.0), np.vstack([one, one[:1]]), axis=0, bc_type="periodic")
+        return np.asarray(spline(time))
+
+
+@dataclass(frozen=True)
+class Covaried:
+    """Targets with the covariance (p, p) of their errors; ``time`` (p,) of each, None standing for end-systole."""
+
+    targets: Targets
+    covariance: FloatArray
+    time: tuple[float | None, ...]
+
+
+def measured(course: Course, model: ErrorModel, times: Sequence[float] | None = None) -> Covaried:
+    """All features at ES (without a time in their names) and ``@<time>`` at every frame after ED, or at ``times``.
+
+    Errors of one frame go together as ``model.correlation``, those of two frames by ``model.between``; end-diastole has none, and
+    an interpolated time has those of the frames it is made from, and that of the interpolation.
+    """
+    es = course.phases.es
+    wanted = [float(t) for t in (course.times[1:] if times is None else times)]
+    wrong = [t for t in wanted if not 0.0 < t < 1.0]
+    if wrong:
+        raise UsageError(f"a target's time is a fraction of the RR interval between 0 and 1, got {wrong[0]:g}.")
+    wanted = [t for t in wanted if abs(t - es) > SAME_TIME]
+    keys = [key for key in model.keys if key in course.features[0]]
+    column = [model.keys.index(key) for key in keys]
+    names: list[str] = []
+    means: list[float] = []
+    when: list[float | None] = []
+    weights = []
+    between = []
+    for time in [None, *wanted]:
+        at = es if time is None else time
+        row = course.features_at(at)
+        for key in keys:
+            names.append(("esv_ml" if key == "volume_ml" else key) if time is None else at_time(key, time))
+            means.append(row[key])
+            when.append(time)
+        weights.append(course.weights(at)[1:])
+        missing = course.interpolation_error(at)
+        between.append([missing[key] for key in keys])
+    frames = np.full((len(course.times) - 1,) * 2, model.between)
+    np.fill_diagonal(frames, 1.0)
+    w = np.array(weights)
+    over_time = w @ frames @ w.T
+    sd = model.sd[column]
+    within = model.correlation[np.ix_(column, column)] * np.outer(sd, sd)
+    covariance = np.kron(over_time, within)
+    for i, error in enumerate(between):
+        # what lies between frames is unknown for all features together
+        part = slice(i * len(keys), (i + 1) * len(keys))
+        covariance[part, part] += np.outer(error, error)
+    covariance[np.diag_indices_from(covariance)] *= 1.0 + _NUGGET
+    targets = Targets(tuple(names), np.array(means), np.sqrt(np.diag(covariance)))
+    return Covaried(targets, covariance, tuple(when))
+
+
+def published(course: Course, ed_residual_mm: Mapping[str, float]) -> Covaried:
+    """The seven of the published calibration: ESV (sd 5 % of ED volume) and mean displacements at ES (sd: what is left when
+    end-diastole is registered to itself, by region), their errors independent as there."""
+    row = course.features_at(course.phases.es)
+    values, sds = [], []
+    for name in PUBLISHED:
+        if name == "esv_ml":
+            values.append(row["volume_ml"])
+            sds.append(PUBLISHED_VOLUME_SHARE * course.phases.ed_volume_ml)
+        else:
+            region = name.removeprefix("d_").removesuffix("_mm")
+            values.append(row[name])
+            sds.append(max(ed_residual_mm[region], 1e-6))
+    targets = Targets(PUBLISHED, np.array(values), np.array(sds))
+    return Covaried(targets, np.diag(targets.sd**2), (None,) * len(PUBLISHED))
