@@ -87,7 +87,7 @@ def test_motion_counts_by_its_arrays_and_is_never_unpickled(scene_of: SceneOf) -
     whole = motion.read_bytes()
     for damaged in (whole, whole[: len(whole) // 2], b""):
         motion.write_bytes(damaged)
-        with pytest.raises(AnatomyError, match=r"motion\.npz: cannot be read"):
+        with pytest.raises(AnatomyError, match=r"motion\.npz: .* damaged"):
             run_key(scene)
 
 

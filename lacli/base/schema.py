@@ -88,19 +88,14 @@ class ArrayFile:
             found[name] = self._array(name, wanted)
         return found
 
+    def everything(self) -> Iterator[tuple[str, NDArray[Any]]]:
+        """Every array of the file by name, as it is, in the order of the names; none of Python's own objects."""
+        for name in sorted(self._members):
+            value = self._value(name, None)
+            yield name, np.ascontiguousarray(value)
+
     def _array(self, name: str, wanted: Array) -> NDArray[Any]:
-        info = self._members[name]
-        with self._archive.open(info) as stream:
-            shape, fortran, dtype = _header(stream, name)
-            self._check_form(name, wanted, shape, dtype)
-            size = math.prod(shape) * dtype.itemsize
-            there = info.file_size - stream.tell()
-            if there != size:
-                raise _Unfit(f"{name} holds {there} bytes where its header promises {size}")
-            content = stream.read(size)
-            if len(content) != size or stream.read(1):  # the end of the file is where its checksum is compared
-                raise _Unfit(f"{name} ends early")
-        value = np.frombuffer(content, dtype).reshape(shape, order="F" if fortran else "C")
+        value = self._value(name, wanted)
         if wanted.kind == "text":
             _check_text(name, wanted, value)
             return value
@@ -110,6 +105,22 @@ class ArrayFile:
         value = np.array(value, dtype=native, order="C")
         _check_values(name, wanted, value)
         return value
+
+    def _value(self, name: str, wanted: Array | None) -> NDArray[Any]:
+        """The array as the file has it, its form held against ``wanted`` before its content is read."""
+        info = self._members[name]
+        with self._archive.open(info) as stream:
+            shape, fortran, dtype = _header(stream, name)
+            if wanted is not None:
+                self._check_form(name, wanted, shape, dtype)
+            size = math.prod(shape) * dtype.itemsize
+            there = info.file_size - stream.tell()
+            if there != size:
+                raise _Unfit(f"{name} holds {there} bytes where its header promises {size}")
+            content = stream.read(size)
+            if len(content) != size or stream.read(1):  # the end of the file is where its checksum is compared
+                raise _Unfit(f"{name} ends early")
+        return np.frombuffer(content, dtype).reshape(shape, order="F" if fortran else "C")
 
     def _check_form(self, name: str, wanted: Array, shape: tuple[int, ...], dtype: np.dtype) -> None:
         kinds, least = _TYPES[wanted.kind]

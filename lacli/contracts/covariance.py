@@ -9,9 +9,11 @@ import numpy as np
 
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import TableError
-from lacli.base.files import DAMAGED, replacing
+from lacli.base.files import replacing
+from lacli.base.schema import Array, array_file
 
-_MOST_TARGETS = 5000
+_SCHEMA = {"names": Array("text", ("p",), distinct=True), "covariance": Array("float", ("p", "p"))}
+_BYTES = 1 << 28  # of 5,000 targets
 _SAME_SD = 1e-3
 
 
@@ -32,14 +34,11 @@ def read_covariance(targets: Path, file: object, names: Sequence[str], sd: Float
     path = targets.parent / file
     if not path.is_file():
         raise TableError(f"{targets}: its covariance {file} is missing. Without the line the errors count as independent.")
-    try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
-            known = [str(name) for name in arrays["names"]]
-            covariance = np.asarray(arrays["covariance"], dtype=np.float64)
-    except DAMAGED as error:
-        raise TableError(f"{path}: cannot be read as a covariance ({type(error).__name__}: {error}).") from None
-    if len(known) > _MOST_TARGETS or covariance.shape != (len(known),) * 2 or len(set(known)) != len(known):
-        raise TableError(f"{path}: {len(known)} names for a matrix of {covariance.shape}.")
+    with array_file(
+        path, "a covariance", "Write targets and covariance again, together.", error=TableError, largest=_BYTES
+    ) as arrays:
+        a = arrays.read(_SCHEMA)
+        known, covariance = [str(name) for name in a["names"]], a["covariance"]
     missing = [name for name in names if name not in known]
     if missing:
         raise TableError(f"{path}: no row for {', '.join(missing)}; the covariance is of other targets.")

@@ -20,8 +20,9 @@ import numpy as np
 
 from lacli import __version__
 from lacli.base.errors import AnatomyError, UsageError
-from lacli.base.files import DAMAGED, write_json
+from lacli.base.files import write_json
 from lacli.base.resources import folder as resource_folder
+from lacli.base.schema import array_file
 from lacli.contracts.scene import Scene
 
 # a number for each kind of kept thing: raised when what is kept is made in another way, so that nothing old is taken for new
@@ -275,14 +276,10 @@ def _digest(states: tuple[tuple[Path, int, int], ...]) -> str:
 
 
 def _update_arrays(total: Any, file: Path) -> None:
-    try:
-        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
-            for name in sorted(arrays.files):
-                value = np.ascontiguousarray(arrays[name])
-                total.update(f"\0{name}\0{value.dtype.str}\0{value.shape}\0".encode())
-                total.update(value.tobytes())
-    except DAMAGED as error:
-        raise AnatomyError(f"{file}: cannot be read ({error}). Write the bundle again.") from error
+    with array_file(file, "a file of arrays", "Write the bundle again.", error=AnatomyError) as arrays:
+        for name, value in arrays.everything():
+            total.update(f"\0{name}\0{value.dtype.str}\0{value.shape}\0".encode())
+            total.update(value.tobytes())
 
 
 @functools.lru_cache(maxsize=1)

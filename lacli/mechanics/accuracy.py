@@ -6,10 +6,10 @@ numerics, the bundle's content, FreeFEM's scripts. Another scene, a bundle made 
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
+from lacli.base.documents import read_json
 from lacli.base.errors import InputError
 from lacli.base.files import write_json
 from lacli.contracts.identity import Identity, determinants, flatten, identify
@@ -49,7 +49,7 @@ def record(scene: Scene, errors: dict[str, float], reference: Scene) -> None:
     file = scene.anatomy.bundle / FILE
     try:
         entries = _entries(file) if file.is_file() else {}
-    except (ValueError, TypeError, AttributeError):
+    except (InputError, ValueError, TypeError, AttributeError):
         entries = {}  # damaged, or of an earlier version that did not say what it had measured
     identity = measured(scene)
     entries[identity.digest] = {
@@ -63,5 +63,5 @@ def record(scene: Scene, errors: dict[str, float], reference: Scene) -> None:
 
 def _entries(file: Path) -> dict[str, Any]:
     """Entries by digest; none in a file of an earlier version, whose errors do not say what they were measured on."""
-    document = json.loads(file.read_text(encoding="utf-8"))
+    document = read_json(file, error=InputError)
     return dict(document.get("entries", {}))

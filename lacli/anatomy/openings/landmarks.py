@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from lacli.base.arrays import FloatArray
+from lacli.base.documents import read_toml
 from lacli.base.errors import AnatomyError
 from lacli.contracts.labels import OPENINGS
 
@@ -86,10 +86,7 @@ def write(landmarks: Landmarks, path: Path) -> None:
 
 def read(path: Path) -> Landmarks:
     """Read ``landmarks.toml``. Raises AnatomyError on an unknown name, or a vector that is not three finite numbers."""
-    try:
-        document = tomllib.loads(path.read_text())
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise AnatomyError(f"{path}: the landmarks cannot be read ({error}).") from None
+    document = read_toml(path, error=AnatomyError, missing="no such file of landmarks")
     openings: dict[str, Opening] = {}
     sides: dict[str, FloatArray] = {}
     for name, table in document.items():
