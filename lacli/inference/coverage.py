@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -105,15 +104,3 @@ def _even(runs: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]
 
 def _cell(u: FloatArray, count: int) -> np.ndarray:
     return np.clip((u * count).astype(np.int64), 0, count - 1)
-
-
-def told_targets(names: Sequence[str], mean: FloatArray, sd: FloatArray, runs: FloatArray) -> list[str]:
-    """Targets (p,) whose uncertainty no one means beside the outputs of the runs (n, p), in words."""
-    found = []
-    spread = np.ptp(runs, axis=0)
-    for j, name in enumerate(names):
-        if sd[j] > 10.0 * (spread[j] + abs(mean[j] - np.median(runs[:, j]))):
-            found.append(f"the target {name} ± {sd[j]:.3g} tells nothing: all runs lie within {spread[j]:.3g}.")
-        elif sd[j] < 1e-6 * spread[j]:
-            found.append(f"the target {name} ± {sd[j]:.3g} is far narrower than the runs' spread of {spread[j]:.3g}: check it.")
-    return found
