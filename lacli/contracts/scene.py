@@ -225,7 +225,7 @@ class Outputs(_Frozen):
     )
     strain: bool = Field(
         default=False,
-        description="whether features of the wall's cells are added: fibre strain and change of thickness by region",
+        description="whether features of the wall's cells are added: fibre stretch and change of thickness by region",
     )
     unloaded: bool = Field(default=True, description="whether the wall without pressure is sought too, and its volume")
     sensitivities: bool = Field(

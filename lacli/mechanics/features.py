@@ -1,4 +1,4 @@
-"""Features of the wall's cells in deformed states: thickness and fibre strain. (The endocardium's: anatomy.surface_features.)"""
+"""Features of the wall's cells in deformed states: thickness and fibre stretch. (The endocardium's: anatomy.surface_features.)"""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def regional_extras(bundle: Bundle, image: FloatArray, points: FloatArray) -> di
             continue
         if bundle.fibre is not None:
             stretch = np.linalg.norm(np.einsum("mij,mj->mi", F[here], bundle.fibre[here]), axis=1) - 1.0
-            result[f"fibre_strain_{name}"] = float(np.average(stretch, weights=volume[here]))
+            result[f"fibre_stretch_{name}"] = float(np.average(stretch, weights=volume[here]))
         if through is not None:
             result[f"thickness_change_{name}"] = float(np.average(through[here], weights=volume[here]))
     return result

@@ -209,7 +209,7 @@ def test_features_of_known_motions(ball: Bundle) -> None:
 def test_extras_of_an_affine_stretch(ball: Bundle) -> None:
     stretched = ball.points * np.array([1.2, 1.2, 1.2])
     extras = regional_extras(ball, ball.points, stretched)
-    assert extras["fibre_strain_anterior"] == pytest.approx(0.2, rel=1e-9)
+    assert extras["fibre_stretch_anterior"] == pytest.approx(0.2, rel=1e-9)
     assert extras["thickness_change_anterior"] == pytest.approx(0.2, rel=1e-9)
 
 
