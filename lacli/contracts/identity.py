@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from lacli import __version__
 from lacli.base.errors import AnatomyError, UsageError
 from lacli.base.files import DAMAGED, write_json
 from lacli.base.resources import folder as resource_folder
+from lacli.base.version import __version__
 from lacli.contracts.scene import Scene
 
 # a number for each kind of kept thing: raised when what is kept is made in another way, so that nothing old is taken for new
