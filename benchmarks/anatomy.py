@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from lacli.anatomy import build, quality
 from lacli.anatomy.coordinates import fibres, regions, uac
 from lacli.anatomy.inputs import extraction, image, repair, tagged
-from lacli.anatomy.openings import clipping, ostium
+from lacli.anatomy.openings import clipping, finding, ostium
 from lacli.anatomy.openings.cut import Cut
 from lacli.anatomy.openings.landmarks import Landmarks, Opening
 from lacli.anatomy.wall import fat, shell, thickness
@@ -103,14 +103,13 @@ def coordinates_of_atlas() -> None:
 def auto_vessels(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Vessel of each triangle from the bare surface: its openings named, each followed inward to where it widens."""
     repaired = repair.repair(points, triangles)
-    openings = build.openings_of_rims(repaired)
-    landmarks = build.find_landmarks(repaired.surface, openings, None)
-    field = build.voxel_field(repaired.surface, 0.5)
+    landmarks = finding.find(repaired.surface, repaired.rims, None).landmarks
+    field = repair.voxel_field(repaired.surface, 0.5)
     cavity = repaired.surface
     for name, opening in landmarks.openings.items():
         if name == "mv":
             continue
-        inward = ostium.of_opening(opening, build.ray_caster(field))
+        inward = ostium.of_opening(opening, finding.ray_caster(field))
         cavity = clipping.cut(cavity, inward.centre, inward.normal, opening.beyond, PLANES[name], name)
     # a triangle belongs to a vessel if it lies past that vessel's plane: nearest point of what was kept is on the plane
     middle = points[triangles].mean(axis=1)

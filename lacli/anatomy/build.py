@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -11,14 +11,17 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lacli.anatomy.coordinates import describe as coordinates
-from lacli.anatomy.inputs import extraction
+from lacli.anatomy.inputs import extraction, patches, repair
+from lacli.anatomy.inputs.anything import Mesh
 from lacli.anatomy.inputs.image import Image
-from lacli.anatomy.inputs.repair import Repaired, voxels
-from lacli.anatomy.openings import branches, clipping, landmarks, ostium
-from lacli.anatomy.openings.landmarks import LPS, Axes, Landmarks, Opening
-from lacli.anatomy.openings.mitral import lv_contact, mitral_from_contact, mitral_from_shape
+from lacli.anatomy.inputs.patches import Tagged
+from lacli.anatomy.inputs.repair import Repaired
+from lacli.anatomy.openings import clipping, finding, trunk
+from lacli.anatomy.openings.candidate import Candidate
+from lacli.anatomy.openings.closing import CAP
+from lacli.anatomy.openings.landmarks import LPS, Axes, Landmarks
+from lacli.anatomy.openings.mitral import lv_contact, of_contact
 from lacli.anatomy.wall.shell import mesh_shell
-from lacli.base.arrays import FloatArray
 from lacli.base.errors import AnatomyError
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.labels import OPENINGS, PLANES
@@ -26,8 +29,6 @@ from lacli.geometry.surface import Surface
 
 Say = Callable[[str], None]
 LEAST_WALL_MM = 1.0
-LEAST_VALVE_MM = 50.0  # rim length
-RIM_INSET_MM = 1.0  # an uneven rim is cut flat this far inside
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,7 @@ class Options:
     fibre_rule: str = "laplace-dirichlet"
     smoothing_mm: float | None = None
     layers: int | None = None
+    accept_low_confidence: bool = False
 
 
 @dataclass(frozen=True)
@@ -71,10 +73,11 @@ def from_labels(
     grid = float(np.clip(0.4 * options.cell_size_mm, 0.4, 0.8))
     surface = extraction.surface_of(pool.mask, options.smoothing_mm, grid)
     contact = None if lv is None else lv_contact(labels, lv, surface)
+    seen = [] if contact is None else [of_contact(surface, contact)]
     if lv is not None and contact is None:
         notes.append(f"label {lv} does not touch the atrium: the mitral plane is found from the shape")
     outer = None if wall is None else outer_surface(labels, la, wall, surface, options, notes)
-    return _from_closed(surface, contact, LPS, options, given, say, notes, pool.mask, outer)
+    return _from_closed(surface, seen, LPS, options, given, say, notes, pool.mask, outer)
 
 
 def outer_surface(labels: Image, la: int, wall: int, inner: Surface, options: Options, notes: list[str]) -> Surface:
@@ -106,44 +109,40 @@ def _box(mask: Image, labels: Image) -> tuple[NDArray[np.int64], NDArray[np.int6
     return low, low + np.array(mask.array.shape[::-1])
 
 
+def from_mesh(
+    mesh: Mesh,
+    options: Options,
+    given: Landmarks | None = None,
+    axes: Axes | None = None,
+    say: Say = print,
+    unit: str | None = None,
+) -> Built:
+    """Bundle from any mesh of an atrium; ``unit``: of repair.UNITS, None: told from the size."""
+    say("repairing the surface")
+    repaired = repair.repair(mesh.points, mesh.triangles, unit, mesh.outer)
+    repaired = replace(repaired, notes=(*mesh.notes, *repaired.notes))
+    tagged = None
+    if mesh.tag is not None:
+        tagged = patches.of_triangles(repaired.scale * mesh.points, mesh.triangles, mesh.tag)
+    return from_surface(repaired, options, given, axes, say, tagged)
+
+
 def from_surface(
-    repaired: Repaired, options: Options, given: Landmarks | None = None, axes: Axes | None = None, say: Say = print
+    repaired: Repaired,
+    options: Options,
+    given: Landmarks | None = None,
+    axes: Axes | None = None,
+    say: Say = print,
+    tagged: Tagged | None = None,
 ) -> Built:
     """Bundle from a repaired surface; ``axes`` None: left and right are told from the shape."""
-    openings = openings_of_rims(repaired)
-    notes = list(repaired.notes)
-    if repaired.rims and not openings:
-        notes.append(
-            f"the longest rim is {repaired.rims[0].length_mm:.0f} mm, no valve's ({LEAST_VALVE_MM:.0f} mm): all closed as holes"
-        )
-    return _from_closed(repaired.surface, openings, axes, options, given, say, notes, None)
-
-
-def openings_of_rims(repaired: Repaired) -> list[Opening]:
-    """The openings that an open surface came with, as cuts just inside their rims, the longest first.
-
-    Where the longest is not as long as a valve's, all are damage. Five or six are valve, veins and appendage; of fewer only the
-    valve is taken, the vessels are found from the shape.
-    """
-    rims = list(repaired.rims) if repaired.rims and repaired.rims[0].length_mm >= LEAST_VALVE_MM else []
-    rims = rims[:6] if len(rims) >= 5 else rims[:1]
-    return [
-        Opening(
-            "",
-            r.centre - RIM_INSET_MM * r.normal,
-            r.normal,
-            r.centre + 0.5 * r.normal,
-            r.length_mm / np.pi,
-            0.9,
-            "opening of the surface",
-        )
-        for r in rims
-    ]
+    seen = list(repaired.rims) if tagged is None else patches.candidates(repaired.surface, repaired.rims, tagged)
+    return _from_closed(repaired.surface, seen, axes, options, given, say, list(repaired.notes), None, repaired.outer)
 
 
 def _from_closed(
     surface: Surface,
-    contact: FloatArray | list[Opening] | None,
+    seen: Sequence[Candidate],
     axes: Axes | None,
     options: Options,
     given: Landmarks | None,
@@ -153,7 +152,8 @@ def _from_closed(
     outer: Surface | None = None,
 ) -> Built:
     say("finding valve, veins and appendage")
-    found = find_landmarks(surface, contact, axes, given, mask, options.ring_width_mm)
+    field = None if mask is None else extraction.smooth_field(mask, max(0.8, 0.8 * float(mask.spacing.max())), 1.0)
+    found = finding.find(surface, seen, axes, given, field, options.ring_width_mm, options.accept_low_confidence).landmarks
     notes += found.notes
     say("cutting")
     cavity = clip(surface, found)
@@ -199,95 +199,29 @@ def _shell(cavity: Surface, options: Options, outer: Surface | None, notes: list
     raise AssertionError("unreachable")
 
 
-def find_landmarks(
-    surface: Surface,
-    contact: FloatArray | list[Opening] | None,
-    axes: Axes | None,
-    given: Landmarks | None = None,
-    mask: Image | None = None,
-    ring_mm: float = 2.5,
-) -> Landmarks:
-    """Every opening of a closed surface, found from its shape, its contact with the ventricle, and what was given.
-
-    ``contact``: points that face the ventricle, or the openings that the surface had before it was closed.
-    """
-    if given is not None and set(OPENINGS) - {"appendage"} <= set(given.openings):
-        return given
-    field = (
-        voxel_field(surface, 1.0)
-        if mask is None
-        else extraction.smooth_field(mask, max(0.8, 0.8 * float(mask.spacing.max())), 1.0)
-    )
-    skeleton = branches.find(field)
-    notes: list[str] = []
-    if given is not None and "mv" in given.openings:
-        mitral = given.openings["mv"]
-    elif isinstance(contact, list) and contact:
-        mitral = replace(contact[0], name="mv")
-    elif contact is not None and not isinstance(contact, list):
-        mitral = mitral_from_contact(surface, contact)
-    else:
-        mitral = mitral_from_shape(surface, skeleton)
-        notes.append("the mitral plane was found from the shape alone: look at it, and correct it in landmarks.toml")
-    vessels = contact[1:] if isinstance(contact, list) else []
-    if len(vessels) >= 4:
-        skeleton = with_rims(skeleton, vessels, mitral)
-    named, confidence, words = landmarks.name_branches(skeleton, mitral.centre, axes)
-    notes += words
-    openings = {"mv": mitral}
-    for name in sorted(named, key=lambda n: (OPENINGS.index(n) if n in OPENINGS else 99, n)):
-        rim = next((v for v in vessels if v.centre is named[name].tip), None)
-        if rim is not None:
-            openings[name] = replace(rim, name=name, confidence=confidence[name])
-        else:
-            openings[name] = ostium.of_branch(name, named[name], confidence[name], ray_caster(field), ring_mm)
-    return landmarks.override(Landmarks(openings, {}, tuple(notes)), given)
-
-
-def with_rims(skeleton: branches.Skeleton, vessels: list[Opening], mitral: Opening) -> branches.Skeleton:
-    """The openings as branches, and of the shape's branches those that end at no opening (a closed appendage)."""
-    found = []
-    for vessel in vessels:
-        line = vessel.centre[None] + np.outer(np.arange(0.0, 6.0), vessel.normal)
-        area = np.full(6, np.pi * vessel.diameter_mm**2 / 4)
-        found.append(branches.Branch(line, area, np.arange(6.0), 0, vessel.centre, 5.0))
-    everything = [*vessels, mitral]
-    for branch in skeleton.branches:
-        gap = min(float(np.linalg.norm(branch.tip - v.centre)) / max(v.diameter_mm, 1.0) for v in everything)
-        if gap > 1.0:
-            found.append(branch)
-    return branches.Skeleton(skeleton.middle, skeleton.radius_mm, tuple(found))
-
-
-def voxel_field(surface: Surface, spacing_mm: float) -> Image:
-    """A closed surface as a field, about 1 inside and 0 outside, on an isotropic grid."""
-    field = voxels(surface, spacing_mm)
-    return field.with_array(ndimage.gaussian_filter(field.array, 0.7))
-
-
-def ray_caster(field: Image, reach_mm: float = 25.0, step_mm: float = 0.25) -> Callable[[FloatArray, FloatArray], FloatArray]:
-    """Distances (k,) mm from an inner point to where the field falls below one half along unit directions (k, 3)."""
-    steps = np.arange(step_mm, reach_mm, step_mm)
-
-    def cast(centre: FloatArray, directions: FloatArray) -> FloatArray:
-        at = centre + steps[None, :, None] * directions[:, None]
-        index = field.to_index(at.reshape(-1, 3))[:, ::-1].T
-        value = ndimage.map_coordinates(field.array, index, order=1, mode="constant").reshape(len(directions), -1)
-        outside = value < 0.5
-        first = np.where(outside.any(axis=1), np.argmax(outside, axis=1), len(steps) - 1)
-        rows = np.arange(len(directions))
-        after, before = value[rows, first], np.where(first > 0, value[rows, np.maximum(first - 1, 0)], 1.0)
-        share = np.clip((before - 0.5) / np.maximum(before - after, 1e-6), 0.0, 1.0)
-        return steps[first] - step_mm * (1.0 - share)
-
-    return cast
-
-
 def clip(surface: Surface, found: Landmarks) -> Surface:
-    """Cut all openings, the mitral valve last; veins beyond four are cut and closed as wall."""
+    """Cut all openings, the mitral valve last; those that the surface has caps for keep them, other caps are wall.
+
+    A further vein's plane has the label of the vein beside it, whose ring it takes.
+    """
+    label = surface.label.copy()
+    kept = {o.cap: PLANES[o.takes or n] for n, o in found.openings.items() if o.cap}
+    for cap in np.unique(surface.label[surface.label >= CAP]):
+        label[surface.label == cap] = kept.get(int(cap), 0)
+    surface = replace(surface, label=label)
+    done: set[str] = set()
     for name in sorted(found.openings, key=lambda n: (n == "mv", n)):
         opening = found.openings[name]
-        surface = clipping.cut(surface, opening.centre, opening.normal, opening.beyond, PLANES.get(name, 0), name.upper())
+        other = found.openings.get(opening.shares)
+        if other is not None:
+            if opening.shares not in done:
+                surface = trunk.part(surface, opening, other)
+            done.add(name)
+            continue
+        if opening.cap:
+            continue
+        plane = PLANES.get(opening.takes or name, 0)
+        surface = clipping.cut(surface, opening.centre, opening.normal, opening.beyond, plane, name.upper())
     return surface
 
 

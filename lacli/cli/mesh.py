@@ -64,6 +64,12 @@ def command(
     frame: Annotated[
         str, typer.Option("--frame", help="Axes of a surface: 'lps', 'ras', or 'unknown' (told from the shape).")
     ] = "unknown",
+    unit: Annotated[
+        str | None, typer.Option("--unit", help="Unit of a mesh file: 'mm', 'um', 'cm' or 'm'; default: told from its size.")
+    ] = None,
+    accept_low_confidence: Annotated[
+        bool, typer.Option("--accept-low-confidence", help="Go on where the names of the openings are not certain.")
+    ] = False,
     also: Annotated[
         list[Path] | None,
         typer.Option("--also", help="Write the wall to this file too (.pts CARP, .vtk, .vtu, .msh); repeatable."),
@@ -85,7 +91,10 @@ def command(
     _check(cell_size_mm, thickness_mm, ring_width_mm, order, layers, frame)
     rules = ("laplace-dirichlet", "uac")
     own = None if fibres in rules else Path(fibres)
-    options = Options(cell_size_mm, thickness_mm, order, ring_width_mm, rules[0] if own else fibres, smoothing_mm, layers)
+    if unit is not None and unit not in ("mm", "um", "cm", "m"):
+        raise UsageError(f"--unit is '{unit}'; it must be mm, um, cm or m.")
+    rule = rules[0] if own else fibres
+    options = Options(cell_size_mm, thickness_mm, order, ring_width_mm, rule, smoothing_mm, layers, accept_low_confidence)
     check_folder(folder)
     _check_new(folder, also or [])
     own_fibres = None if own is None else meshfile.read_fibres(own)
@@ -97,7 +106,7 @@ def command(
             bar.update(task, advance=1, description=words)
 
         with naming(source):
-            built = _build(source, la, lv, wall, options, landmarks_file, frame, say)
+            built = _build(source, la, lv, wall, options, landmarks_file, frame, say, unit)
         bundle = built.bundle
         if own_fibres is not None:
             bundle = replace(bundle, fibre=meshfile.carry_fibres(bundle, *own_fibres))
@@ -162,12 +171,20 @@ def _check_new(folder: Path, also: list[Path]) -> None:
 
 
 def _build(
-    source: Path, la: int | None, lv: int | None, wall: int | None, options: Any, file: Path | None, frame: str, say: Any
+    source: Path,
+    la: int | None,
+    lv: int | None,
+    wall: int | None,
+    options: Any,
+    file: Path | None,
+    frame: str,
+    say: Any,
+    unit: str | None,
 ) -> Any:
     import numpy as np
 
     from lacli.anatomy import build
-    from lacli.anatomy.inputs import carp, image, meshfile, repair
+    from lacli.anatomy.inputs import anything, image, meshfile, repair
     from lacli.anatomy.openings import landmarks
 
     meshfile.check_surface(source)
@@ -176,23 +193,16 @@ def _build(
         labels = image.read_labels(source)
         volumes = image.label_volumes(labels)
         return build.from_labels(labels, la_label(source, volumes, la), lv, options, given, say, wall)
-    if source.name.removesuffix(".gz").endswith((".elem", ".pts")):
-        mesh = carp.read(source)
-        if mesh.kind != "Tr":
-            raise AnatomyError(f"{source}: CARP tetrahedra; give the surface of the blood pool (Tr elements).")
-        points, triangles = mesh.points, mesh.cells
-    elif source.suffix.lower() in repair.SUFFIXES:
-        points, triangles = repair.read(source)
-    else:
+    if not anything.is_mesh(source):
         known = ", ".join((*image.SUFFIXES, *repair.SUFFIXES, ".elem"))
         raise UsageError(f"{source}: the ending is not one of {known}.")
+    mesh = anything.read(source)
     axes = {
         "lps": landmarks.LPS,
         "ras": landmarks.Axes(np.array([-1.0, 0, 0]), np.array([0, -1.0, 0]), np.array([0, 0, 1.0]), True),
         "unknown": None,
     }[frame]
-    say("repairing the surface")
-    return build.from_surface(repair.repair(points, triangles), options, given, axes, say)
+    return build.from_mesh(mesh, options, given, axes, say, unit)
 
 
 def la_label(source: Path, volumes: dict[int, float], la: int | None) -> int:

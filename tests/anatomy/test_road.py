@@ -13,7 +13,7 @@ from lacli.anatomy import build
 from lacli.anatomy.coordinates import describe as coordinates
 from lacli.anatomy.coordinates import fibres, regions
 from lacli.anatomy.inputs import carp, extraction, image, meshfile
-from lacli.anatomy.openings import landmarks
+from lacli.anatomy.openings import finding, landmarks
 from lacli.anatomy.wall import fat
 from lacli.base.errors import AnatomyError
 from lacli.contracts.bundle import check, load, save
@@ -107,8 +107,8 @@ def test_landmarks_go_out_and_in_and_win(built: build.Built, made: synthetic_ima
     surface = extraction.surface_of(extraction.blood_pool(made.labels, 2).mask, grid_mm=0.9)
     moved = replace(given.openings["lspv"], centre=given.openings["lspv"].centre + 2.0 * given.openings["lspv"].normal)
     there = landmarks.Landmarks({**given.openings, "lspv": moved})
-    before = build.clip(surface, build.find_landmarks(surface, None, landmarks.LPS, given))
-    after = build.clip(surface, build.find_landmarks(surface, None, landmarks.LPS, there))
+    before = build.clip(surface, finding.find(surface, [], landmarks.LPS, given).landmarks)
+    after = build.clip(surface, finding.find(surface, [], landmarks.LPS, there).landmarks)
     # two millimetres more of a tube of 13 - 15 mm
     assert 150 < 1000 * (after.volume_ml() - before.volume_ml()) < 500
     (tmp_path / "bad.toml").write_text("[lspv]\ncentre = [1, 2]\nnormal = [0, 0, 1]\n")

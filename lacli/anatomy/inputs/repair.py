@@ -2,42 +2,37 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from scipy import ndimage
 
 from lacli.anatomy.inputs.image import Image
-from lacli.anatomy.openings import clipping
+from lacli.anatomy.openings import clipping, closing
+from lacli.anatomy.openings.candidate import RIM, Candidate, area_vector, of_ring
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import AnatomyError, InputError
 from lacli.geometry import curves as paths
-from lacli.geometry.surface import Surface, compact, defects
+from lacli.geometry.surface import Surface, compact, defects, nearest
 
 SUFFIXES = (".vtp", ".vtk", ".stl", ".ply", ".obj", ".vtu")
 MANY_TRIANGLES = 400_000
 MANY_HOLES = 300
+FEW_BAD_EDGES = 60  # non-manifold edges: so many are mended, with more the surface is rebuilt
 OPENING_MM = 10.0  # rims at least this long are openings (veins, valve), shorter ones damage
 
 
 @dataclass(frozen=True)
-class Rim:
-    """An opening that the input had: centre (3,) mm, normal (3,) out of the cavity, length of the circle of its area mm."""
-
-    centre: FloatArray
-    normal: FloatArray
-    length_mm: float
-
-
-@dataclass(frozen=True)
 class Repaired:
-    """A closed surface, the openings it had, what was done in words, and the factor from the file's unit to mm."""
+    """A closed surface, the openings it had (widest first; each has its cap's label on the surface, 0 where the surface was
+    rebuilt), what was done in words, the factor from the file's unit to mm, and the wall's outer side where the file had it."""
 
     surface: Surface
-    rims: tuple[Rim, ...]
+    rims: tuple[Candidate, ...]
     notes: tuple[str, ...]
     scale: float
+    outer: Surface | None = None
 
 
 def read(path: Path) -> tuple[FloatArray, IntArray]:
@@ -77,24 +72,37 @@ def read(path: Path) -> tuple[FloatArray, IntArray]:
     return points, triangles
 
 
-def unit_scale(points: FloatArray) -> tuple[float, str]:
-    """Factor to millimetres and a sentence about it, from the size: an atrium with its veins is 4 - 25 cm wide.
+UNITS = {"mm": (1.0, "millimetres"), "um": (1e-3, "micrometres"), "m": (1e3, "metres"), "cm": (10.0, "centimetres")}
 
-    Raises AnatomyError where the size fits no unit.
+
+def unit_scale(points: FloatArray, unit: str | None = None) -> tuple[float, str]:
+    """Factor to millimetres and a sentence about it: of the ``unit`` given (of UNITS), else from the size, an atrium with its
+    veins being 4 - 25 cm wide.
+
+    Raises AnatomyError where the size fits no unit, or not the one given.
     """
     width = float(np.ptp(points, axis=0).max())
-    for factor, unit in ((1.0, "millimetres"), (1e-3, "micrometres"), (1e3, "metres"), (10.0, "centimetres")):
+    if unit is not None:
+        factor, name = UNITS[unit]
+        if not 25.0 <= width * factor <= 400.0:
+            raise AnatomyError(
+                f"the surface is {width:.4g} units wide: in {name} that is {width * factor:.4g} mm, no left atrium; "
+                "leave --unit out, and it is told from the size."
+            )
+        return factor, "" if factor == 1.0 else f"lengths in {name}, as said, were scaled to mm"
+    for factor, unit in UNITS.values():
         if 25.0 <= width * factor <= 400.0:
             words = "" if factor == 1.0 else f"the surface is {width:.4g} units wide: taken as {unit}, scaled to mm"
             return factor, words
     raise AnatomyError(f"the surface is {width:.4g} units wide, which is no left atrium in mm, micrometres, cm or m; rescale it.")
 
 
-def repair(points: FloatArray, triangles: IntArray) -> Repaired:
+def repair(points: FloatArray, triangles: IntArray, unit: str | None = None, outside: IntArray | None = None) -> Repaired:
     """A closed, outward oriented surface in mm from whatever triangles there are.
 
     Clean surfaces keep their triangles and get caps over their openings. Where edges stay non-manifold, or holes are many, the
-    surface is rebuilt from voxels (0.5 mm). Raises AnatomyError where there is no closed cavity to be had.
+    surface is rebuilt from voxels (0.5 mm). ``outside``: triangles of the wall's outer side, where the input tells it. Raises
+    AnatomyError where there is no closed cavity to be had.
     """
     notes: list[str] = []
     bad = np.asarray(~np.isfinite(points).all(axis=1))
@@ -106,48 +114,36 @@ def repair(points: FloatArray, triangles: IntArray) -> Repaired:
         if len(triangles) == 0:
             raise AnatomyError("no triangle has finite coordinates.")
         points, triangles = _used(points, triangles)
-    scale, words = unit_scale(points[np.unique(triangles)])
+    scale, words = unit_scale(points[np.unique(triangles)], unit)
     if words:
         notes.append(words)
     points = points * scale
+    outer = None if outside is None else _bare(points, outside)
     if len(triangles) > MANY_TRIANGLES:
         before = len(triangles)
         points, triangles = _cluster(points, triangles)
         notes.append(f"{before} triangles were thinned to {len(triangles)}")
     points, triangles = _merge(points, triangles, notes)
+    triangles = _mended(triangles, notes)
+    if outer is None:
+        triangles, outside = _inner(points, triangles, notes)
+        outer = None if outside is None else _bare(points, outside)
     triangles = _largest(points, triangles, notes)
     points, triangles = _used(points, triangles)
     triangles, manifold = _orient(triangles, notes)
-    rims: list[Rim] = []
+    rims: list[Candidate] = []
     loops = paths.loops(paths.open_edges(triangles)) if manifold else []
     if manifold and len(loops) <= MANY_HOLES:
-        points, triangles, rims, small = _cap(points, triangles, loops, notes)
-        surface = compact(Surface(points, triangles, np.zeros(len(triangles), dtype=np.int64)))
+        surface, rims = _closed(points, triangles, loops, notes)
         if not defects(surface.triangles):
             if surface.volume_ml() < 0:
                 surface = Surface(surface.points, surface.triangles[:, ::-1].copy(), surface.label)
                 notes.append("the surface was inside out and was turned")
-            rims = [_outward(r, surface) for r in rims]
-            if small > 1:
-                surface = smoothed(surface)
-                notes.append("patches were smoothed into the surface (voxels of 0.5 mm)")
-            return Repaired(surface, tuple(rims), tuple(notes), scale)
+            return Repaired(surface, tuple(_outward(r, surface) for r in rims), tuple(notes), scale, outer)
         points, triangles = surface.points, surface.triangles
     surface = from_voxels(points, triangles)
     notes.append("the triangles did not make a closed surface: it was rebuilt from voxels of 0.5 mm")
-    return Repaired(surface, tuple(_outward(r, surface) for r in rims), tuple(notes), scale)
-
-
-def smoothed(surface: Surface, spacing_mm: float = 0.5) -> Surface:
-    """A closed surface anew from its voxels, of the same volume."""
-    from lacli.anatomy.inputs import extraction
-
-    field = voxels(surface, spacing_mm)
-    mask = field.with_array(field.array > 0.5)
-    again = extraction.surface_of(mask, sigma_mm=0.8, grid_mm=0.7)
-    grown = (surface.volume_ml() / again.volume_ml()) ** (1 / 3)
-    centre = again.points.mean(axis=0)
-    return Surface(centre + grown * (again.points - centre), again.triangles, again.label)
+    return Repaired(surface, tuple(_outward(replace(r, cap=0), surface) for r in rims), tuple(notes), scale, outer)
 
 
 def voxels(surface: Surface, spacing_mm: float) -> Image:
@@ -173,6 +169,16 @@ def voxels(surface: Surface, spacing_mm: float) -> Image:
     paint.Update()
     array = vtk_to_numpy(paint.GetOutput().GetPointData().GetScalars()).reshape(size[::-1]).astype(np.float32)
     return Image(array, np.full(3, spacing_mm), low, np.eye(3))
+
+
+def voxel_field(surface: Surface, spacing_mm: float) -> Image:
+    """A closed surface as a field, about 1 inside and 0 outside, on an isotropic grid."""
+    field = voxels(surface, spacing_mm)
+    return field.with_array(ndimage.gaussian_filter(field.array, 0.7))
+
+
+def _bare(points: FloatArray, triangles: IntArray) -> Surface:
+    return Surface(*_used(points, triangles), np.zeros(len(triangles), dtype=np.int64))
 
 
 def _used(points: FloatArray, triangles: IntArray) -> tuple[FloatArray, IntArray]:
@@ -217,6 +223,82 @@ def _merge(points: FloatArray, triangles: IntArray, notes: list[str]) -> tuple[F
     if len(triangles) == 0:
         raise AnatomyError("no proper triangle is left after duplicates are merged.")
     return points[first], triangles
+
+
+def _mended(triangles: IntArray, notes: list[str]) -> IntArray:
+    """Without the triangles at edges that have more than two, where such edges are few; the holes are filled later."""
+    before = len(triangles)
+    for _ in range(3):
+        _, count, of = paths.edge_table(triangles)
+        many = count > 2
+        if not many.any() or many.sum() > FEW_BAD_EDGES:
+            break
+        triangles = triangles[~many[of].any(axis=1)]
+    if len(triangles) < before:
+        notes.append(f"{before - len(triangles)} triangles at non-manifold edges were taken out, the holes filled")
+    return triangles
+
+
+def _inner(points: FloatArray, triangles: IntArray, notes: list[str]) -> tuple[IntArray, IntArray | None]:
+    """Of two shells of which one lies in the other (endocardium and epicardium) the inner, and the outer; else all, and None."""
+    count, part = paths.triangle_components(triangles)
+    if count == 1:
+        return triangles, None
+    area = np.bincount(part, weights=np.linalg.norm(np.cross(*_sides(points, triangles)), axis=1), minlength=count)
+    first, second = (int(k) for k in np.argsort(-area)[:2])
+    if area[second] < 0.25 * area[first]:
+        return triangles, None
+    shells = {k: _filled(points, triangles[part == k]) for k in (first, second)}
+    if any(s is None for s in shells.values()):
+        return triangles, None
+    volume = {k: abs(s.volume_ml()) for k, s in shells.items() if s is not None}
+    inner, outer = sorted((first, second), key=lambda k: volume[k])
+    inside = _share_inside(shells[outer], points[np.unique(triangles[part == inner])])
+    gap, _ = nearest(points[np.unique(triangles[part == outer])], points[np.unique(triangles[part == inner])])
+    if inside < 0.9 or np.median(gap) > 10.0:
+        return triangles, None
+    notes.append(
+        f"two shells, one in the other: the inner ({volume[inner]:.0f} mL) is the endocardium, the outer "
+        f"({volume[outer]:.0f} mL) the epicardium, {np.median(gap):.1f} mm away (median)"
+    )
+    return triangles[part == inner], triangles[part == outer]
+
+
+def _sides(points: FloatArray, triangles: IntArray) -> tuple[FloatArray, FloatArray]:
+    a, b, c = (points[triangles[:, i]] for i in range(3))
+    return b - a, c - a
+
+
+def _filled(points: FloatArray, triangles: IntArray) -> Surface | None:
+    """The triangles with their rims closed by fans; None where they are no oriented manifold."""
+    triangles, manifold = _orient(triangles, [])
+    if not manifold:
+        return None
+    everything = [triangles]
+    for rim in paths.loops(paths.open_edges(triangles)):
+        points, cap = clipping.fill_rim(points, rim, triangles)
+        everything.append(cap)
+    cells = np.vstack(everything)
+    return compact(Surface(points, cells, np.zeros(len(cells), dtype=np.int64)))
+
+
+def _share_inside(closed: Surface | None, points: FloatArray) -> float:
+    """Share of points (k, 3) inside a closed surface."""
+    import vtk
+    from vtk.util.numpy_support import numpy_to_vtk, vtk_to_numpy
+
+    from lacli.anatomy.pictures import polydata
+
+    assert closed is not None
+    cloud = vtk.vtkPolyData()
+    cells = vtk.vtkPoints()
+    cells.SetData(numpy_to_vtk(np.ascontiguousarray(points), deep=True))
+    cloud.SetPoints(cells)
+    enclosed = vtk.vtkSelectEnclosedPoints()
+    enclosed.SetInputData(cloud)
+    enclosed.SetSurfaceData(polydata(closed))
+    enclosed.Update()
+    return float(vtk_to_numpy(enclosed.GetOutput().GetPointData().GetArray("SelectedPoints")).mean())
 
 
 def _largest(points: FloatArray, triangles: IntArray, notes: list[str]) -> IntArray:
@@ -281,34 +363,37 @@ def _orient(triangles: IntArray, notes: list[str]) -> tuple[IntArray, bool]:
     return np.where((turn == 1)[:, None], triangles[:, ::-1], triangles), True
 
 
-def _cap(
-    points: FloatArray, triangles: IntArray, loops: list[IntArray], notes: list[str]
-) -> tuple[FloatArray, IntArray, list[Rim], int]:
-    """Caps over all loops; the long ones are openings, the number of short ones is returned."""
-    rims, small = [], 0
-    everything = [triangles]
-    for loop in loops:
-        points, cap = clipping.fill_rim(points, loop, triangles)
-        everything.append(cap)
-        a, b, c = (points[cap[:, i]] for i in range(3))
-        normal = np.cross(b - a, c - a).sum(axis=0)
-        # of the circle of the same area: a ragged rim is no longer than a smooth one
-        length = float(np.sqrt(2.0 * np.pi * np.linalg.norm(normal)))
-        if length >= OPENING_MM:
-            rims.append(Rim(points[loop].mean(axis=0), normal / max(float(np.linalg.norm(normal)), 1e-12), length))
-        else:
-            small += 1
+def _closed(points: FloatArray, triangles: IntArray, loops: list[IntArray], notes: list[str]) -> tuple[Surface, list[Candidate]]:
+    """Caps over all loops, those of openings with labels of their own; and the openings, widest first."""
+    points, ragged = closing.even(points, triangles, [loop for loop in loops if len(loop) > 6])
+    if ragged:
+        notes.append(f"{len(ragged)} ragged rims were smoothed")
+    # of the circle of the same area: a ragged rim is no longer than a smooth one
+    length = [float(np.sqrt(4.0 * np.pi * np.linalg.norm(area_vector(points[loop])))) for loop in loops]
+    order = sorted(range(len(loops)), key=lambda k: -length[k])
+    wide = [k for k in order if length[k] >= OPENING_MM]
+    small = len(loops) - len(wide)
     if small:
         notes.append(f"{small} holes were filled")
-    if rims:
-        notes.append(f"{len(rims)} rims of {OPENING_MM:g} mm or more were found")
-    return points, np.vstack(everything), sorted(rims, key=lambda r: -r.length_mm), small
+    if wide:
+        notes.append(f"{len(wide)} rims of {OPENING_MM:g} mm or more were found")
+    middle = points[np.unique(triangles)].mean(axis=0)
+    rims = []
+    for k, i in enumerate(wide):
+        ring = points[loops[i]]
+        rims.append(of_ring(ring, ring.mean(axis=0) - middle, RIM, cap=closing.CAP + k))
+    points, triangles, label = closing.close(points, triangles, [loops[i] for i in order])
+    label = np.where(label >= closing.CAP + len(wide), 0, label)
+    return compact(Surface(points, triangles, label)), rims
 
 
-def _outward(rim: Rim, surface: Surface) -> Rim:
-    """The rim's normal, away from the surface's middle."""
-    sense = np.sign((rim.centre - surface.points.mean(axis=0)) @ rim.normal) or 1.0
-    return Rim(rim.centre, sense * rim.normal, rim.length_mm)
+def _outward(rim: Candidate, surface: Surface) -> Candidate:
+    """The rim's direction as its cap's normal has it, or away from the surface's middle where it has no cap."""
+    if rim.cap:
+        sense = np.sign(surface.area_vectors()[surface.label == rim.cap].sum(axis=0) @ rim.direction) or 1.0
+    else:
+        sense = np.sign((rim.centre - surface.points.mean(axis=0)) @ rim.direction) or 1.0
+    return replace(rim, direction=sense * rim.direction)
 
 
 def from_voxels(points: FloatArray, triangles: IntArray, spacing_mm: float = 0.5) -> Surface:

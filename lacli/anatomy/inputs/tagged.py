@@ -11,13 +11,14 @@ import numpy as np
 
 from lacli.anatomy.coordinates.describe import describe
 from lacli.anatomy.coordinates.frame import frame_from_openings, height, sectors, sweep, two_layer_fibres, unit
+from lacli.anatomy.openings import closing
 from lacli.anatomy.openings.caps import Plate, extrude_plate, rim_loops, triangulate_loop
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import AnatomyError
 from lacli.contracts.bundle import Bundle
-from lacli.contracts.labels import ENDO, EPI, OPENINGS, OTHER, PLANES, RINGS
+from lacli.contracts.labels import ENDO, EPI, OPENINGS, OTHER, PLANES, RINGS, is_plane, is_ring
 from lacli.geometry import laplace
-from lacli.geometry.surface import Surface, check, compact, nearest, unique_edges
+from lacli.geometry.surface import Surface, check, compact, nearest
 from lacli.geometry.tetrahedra import boundary_faces, elevate, row_keys, volumes
 
 # opening -> words that all occur in its cap's name
@@ -137,7 +138,7 @@ def _rims(endo: IntArray, points: FloatArray, caps: dict[str, FloatArray], where
 
 def _closed(points: FloatArray, endo: IntArray, rims: dict[str, IntArray]) -> Surface:
     """The endocardium, turned outward, and a smooth triangulation over each rim (the files' own caps are fans)."""
-    points = _even_rims(points, endo, rims)
+    points = closing.even_all(points, endo, list(rims.values()))
     centre = points[np.unique(endo)].mean(axis=0)
     triangles, label = [endo[:, ::-1]], [np.zeros(len(endo), dtype=np.int64)]
     everything = points
@@ -153,40 +154,6 @@ def _closed(points: FloatArray, endo: IntArray, rims: dict[str, IntArray]) -> Su
     surface = compact(Surface(everything, np.vstack(triangles), np.concatenate(label)))
     check(surface, "cavity of the named surfaces")
     return surface
-
-
-def _even_rims(points: FloatArray, endo: IntArray, rims: dict[str, IntArray], reach_mm: float = 4.0) -> FloatArray:
-    """Points with the rims' zigzag (cells cut along their faces) smoothed out, the endocardium near them following.
-
-    Each rim is averaged along itself by about three edges and scaled back to its area; points of the wall within
-    ``reach_mm`` of a rim take the mean of their neighbours, fading with distance.
-    """
-    points = points.copy()
-    fixed = np.zeros(len(points), dtype=bool)
-    for rim in rims.values():
-        ring = points[rim]
-
-        def size(x: FloatArray) -> float:
-            return float(np.linalg.norm(np.cross(x - x.mean(axis=0), np.roll(x, -1, axis=0) - x.mean(axis=0)).sum(axis=0)))
-
-        smooth = ring
-        for _ in range(10):
-            smooth = 0.5 * smooth + 0.25 * (np.roll(smooth, 1, axis=0) + np.roll(smooth, -1, axis=0))
-        middle = smooth.mean(axis=0)
-        points[rim] = middle + (smooth - middle) * np.sqrt(size(ring) / size(smooth))
-        fixed[rim] = True
-    edges, _ = unique_edges(endo)
-    used = np.unique(endo)
-    distance = np.full(len(points), np.inf)
-    distance[used] = nearest(points[fixed], points[used])[0]
-    weight = np.where(fixed, 0.0, np.clip(1.0 - distance / reach_mm, 0.0, 1.0))[:, None]
-    count = np.maximum(np.bincount(edges.ravel(), minlength=len(points)), 1)[:, None]
-    for _ in range(10):
-        total = np.zeros_like(points)
-        np.add.at(total, edges[:, 0], points[edges[:, 1]])
-        np.add.at(total, edges[:, 1], points[edges[:, 0]])
-        points = points + weight * (total / count - points)
-    return points
 
 
 def _as_is(mesh: TaggedMesh, order: int, thickness: float, ring_width: float, where: str) -> Bundle:
@@ -219,7 +186,7 @@ def _as_is(mesh: TaggedMesh, order: int, thickness: float, ring_width: float, wh
     region[body] = sectors(frame, points[tets[body]].mean(axis=1))
     triangles, owner = boundary_faces(tets)
     size = len(points)
-    tags = np.where(region[owner] >= 21, OTHER, np.where(region[owner] >= 11, region[owner], EPI))
+    tags = np.where(is_plane(region[owner]), OTHER, np.where(is_ring(region[owner]), region[owner], EPI))
     keys = row_keys(triangles, size)
     tags[np.isin(keys, row_keys(endo, size))] = ENDO
     for cap, label in caps:
@@ -242,8 +209,8 @@ def finish(
 
     assert isinstance(frame, AtrialFrame)
     grad = laplace.gradient(points, tets)
-    inside = np.unique(triangles[(tags == ENDO) | (tags >= 21)])
-    far = np.setdiff1d(np.unique(triangles[(tags == EPI) | (tags == OTHER) | ((tags >= 11) & (tags <= 16))]), inside)
+    inside = np.unique(triangles[(tags == ENDO) | is_plane(tags)])
+    far = np.setdiff1d(np.unique(triangles[(tags == EPI) | (tags == OTHER) | is_ring(tags)]), inside)
     transmural = laplace.solve(laplace.stiffness(grad, len(points)), {0.0: inside, 1.0: far})
     depth = grad.of(transmural)
     normals = depth / np.maximum(np.linalg.norm(depth, axis=1, keepdims=True), 1e-12)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import coo_matrix, diags
+from scipy.sparse.linalg import spsolve
 
 from lacli.anatomy.coordinates.frame import unit
 from lacli.anatomy.wall.polish import polish
@@ -137,6 +139,8 @@ def triangulate_loop(points: FloatArray, rim: IntArray, normal: FloatArray) -> t
     before = np.roll(flat, 1, axis=0)
     if np.sum(before[:, 0] * flat[:, 1] - before[:, 1] * flat[:, 0]) < 0:
         rim, ring, flat = rim[::-1], ring[::-1], flat[::-1]
+    if crosses_itself(flat):  # gmsh may never return from such a curve
+        raise AnatomyError("An opening's rim cannot be filled with triangles: its projection crosses itself.")
     gmsh.initialize(["lacli", "-v", "0"], readConfigFiles=False, interruptible=False)
     try:
         gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 1)
@@ -164,15 +168,35 @@ def triangulate_loop(points: FloatArray, rim: IntArray, normal: FloatArray) -> t
     return inner, ids[triangles]
 
 
+def crosses_itself(ring: FloatArray) -> bool:
+    """Whether two sides of a closed plane curve (k, 2) cross or touch (neighbours apart), or a side has no length."""
+    a, b = ring, np.roll(ring, -1, axis=0)
+    size = float(np.ptp(ring, axis=0).max())
+    if (np.linalg.norm(b - a, axis=1) < 1e-6 * size).any():
+        return True
+
+    def side(p: FloatArray, q: FloatArray, r: FloatArray) -> FloatArray:
+        u, v = q[:, None] - p[:, None], r[None] - p[:, None]
+        return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
+
+    k = len(ring)
+    first, second = side(a, b, a), side(a, b, b)
+    crossed = (first * second <= 0) & (first * second <= 0).T
+    gap = np.abs(np.arange(k)[:, None] - np.arange(k)[None])
+    return bool(crossed[(gap > 1) & (gap < k - 1)].any())
+
+
 def harmonic_heights(triangles: IntArray, rim_height: FloatArray, size: int) -> FloatArray:
     """Heights (size,) that equal ``rim_height`` on the first points and the mean of the neighbours elsewhere."""
     fixed = len(rim_height)
     height = np.concatenate([rim_height, np.zeros(size - fixed)])
     if size == fixed:
         return height
-    sides = np.unique(np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
-    graph = np.zeros((size, size))
-    graph[sides[:, 0], sides[:, 1]] = graph[sides[:, 1], sides[:, 0]] = 1.0
-    laplacian = np.diag(graph.sum(axis=1)) - graph
-    height[fixed:] = np.linalg.solve(laplacian[fixed:, fixed:], -laplacian[fixed:, :fixed] @ height[:fixed])
+    sides, _ = unique_edges(triangles)
+    ones = np.ones(2 * len(sides))
+    graph = coo_matrix(
+        (ones, (np.concatenate([sides[:, 0], sides[:, 1]]), np.concatenate([sides[:, 1], sides[:, 0]]))), (size, size)
+    )
+    laplacian = (diags(np.asarray(graph.sum(axis=1)).ravel()) - graph).tocsc()
+    height[fixed:] = spsolve(laplacian[fixed:, fixed:], -laplacian[fixed:, :fixed] @ height[:fixed])
     return height

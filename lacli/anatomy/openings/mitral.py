@@ -8,7 +8,9 @@ from scipy.spatial import cKDTree
 
 from lacli.anatomy.inputs.image import Image
 from lacli.anatomy.openings import branches
+from lacli.anatomy.openings.candidate import CONTACT, Candidate
 from lacli.anatomy.openings.landmarks import Opening
+from lacli.anatomy.openings.ostium import across
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import AnatomyError
 from lacli.geometry import curves as paths
@@ -80,6 +82,14 @@ def mitral_from_contact(surface: Surface, contact: FloatArray) -> Opening:
         round(min(0.99, ratio), 2),
         "contact with the left ventricle",
     )
+
+
+def of_contact(surface: Surface, contact: FloatArray) -> Candidate:
+    """The patch that faces the ventricle, as a candidate that is the mitral valve."""
+    found = mitral_from_contact(surface, contact)
+    area = np.pi * found.diameter_mm**2 / 4
+    half = across(found.normal) * found.diameter_mm / 2
+    return Candidate(found.centre, found.normal, area, CONTACT, half, tip=found.beyond)
 
 
 def mitral_from_shape(surface: Surface, skeleton: branches.Skeleton) -> Opening:

@@ -83,14 +83,15 @@ def of_branch(name: str, branch: Branch, confidence: float, radius_at: RadiusAt,
     line = branch.centreline
     start = max(0, min(branch.ostium + round(OUTSIDE_MM), len(line) - 1 - round(TIP_MM) // 2))
     ahead = line[min(start + 3, len(line) - 1)] - line[max(0, start - 3)]
-    sections = inward(line[start], ahead / max(float(np.linalg.norm(ahead)), 1e-12), radius_at)
+    length = float(np.linalg.norm(ahead))
+    sections = inward(line[start], ahead / length if length > 1e-6 else branch.axis, radius_at)
     chosen = at_ostium(sections, outside_mm)
     return Opening(name, chosen.centre, chosen.normal, branch.tip, 2.0 * chosen.radius_mm, confidence, "shape")
 
 
-def of_opening(opening: Opening, radius_at: RadiusAt) -> Opening:
-    """From an open vessel's rim inward to its ostium: the junction of vessel and atrium."""
-    chosen = at_ostium(inward(opening.centre - 0.5 * opening.normal, opening.normal, radius_at), 0.0)
+def of_opening(opening: Opening, radius_at: RadiusAt, outside_mm: float = 0.0) -> Opening:
+    """From an open vessel's rim inward to ``outside_mm`` beyond its ostium, the junction of vessel and atrium."""
+    chosen = at_ostium(inward(opening.centre - 0.5 * opening.normal, opening.normal, radius_at), outside_mm)
     return replace(opening, centre=chosen.centre, normal=chosen.normal, diameter_mm=2.0 * chosen.radius_mm)
 
 
@@ -125,16 +126,18 @@ def at_ostium(sections: list[Section], outside_mm: float) -> Section:
 
 def area_and_middle(normal: FloatArray, centre: FloatArray, radius_at: RadiusAt) -> tuple[float, FloatArray]:
     """Area (mm2) and centroid (3,) of the plane section that is seen from ``centre``."""
-    e = _across(normal)
+    e = across(normal)
     rays = np.cos(_ANGLES)[:, None] * e + np.sin(_ANGLES)[:, None] * np.cross(normal, e)
     r = radius_at(centre, rays)
     area = 0.5 * float(np.sum(r * np.roll(r, -1)) * np.sin(_ANGLES[1]))
     return area, centre + (rays * (r**3)[:, None]).sum(axis=0) / (1.5 * np.sum(r**2))
 
 
-def _across(normal: FloatArray) -> FloatArray:
+def across(normal: FloatArray) -> FloatArray:
+    """A unit vector (3,) perpendicular to ``normal``."""
     e = np.cross(normal, [1.0, 0, 0] if abs(normal[0]) < 0.8 else [0, 1.0, 0])
-    return e / np.linalg.norm(e)
+    size = float(np.linalg.norm(e))
+    return np.asarray(e / size) if size > 1e-12 else np.array([1.0, 0.0, 0.0])  # of no direction: any will do
 
 
 def smallest(centre: FloatArray, normal: FloatArray, axis: FloatArray, radius_at: RadiusAt) -> Section:
@@ -145,7 +148,7 @@ def smallest(centre: FloatArray, normal: FloatArray, axis: FloatArray, radius_at
     area, _ = area_and_middle(normal, centre, radius_at)
     for step in np.radians([6.0, 3.0]):
         for _ in range(4):
-            e = _across(normal)
+            e = across(normal)
             f = np.cross(normal, e)
             trials = [normal + np.tan(step) * turn for turn in (e, -e, f, -f)]
             trials = [t / np.linalg.norm(t) for t in trials]
