@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING
 from lacli.base.version import __version__
 
 if TYPE_CHECKING:
-    from lacli.api.inference import Emulation, Sensitivity, emulate, sensitivity
+    from lacli.api.inference import Emulation, Matching, NothingLeft, Sensitivity, emulate, match, sensitivity
     from lacli.api.mechanics import read_deck, rerun, simulate, write_deck
     from lacli.api.progress import Progress
     from lacli.base.errors import Cancelled, LacliError
     from lacli.contracts.scene import Scene, load_scene
     from lacli.contracts.table import RunTable, read_runs
+    from lacli.contracts.targets import Targets, read_targets
     from lacli.inference.box import Box, make_box, read_box
     from lacli.inference.emulation.emulator_set import EmulatorSet, load_emulators, save_emulators
     from lacli.mechanics.simulation import RunResult
@@ -28,19 +29,24 @@ __all__ = [
     "Emulation",
     "EmulatorSet",
     "LacliError",
+    "Matching",
+    "NothingLeft",
     "Progress",
     "RunResult",
     "RunTable",
     "Scene",
     "Sensitivity",
+    "Targets",
     "__version__",
     "emulate",
     "load_emulators",
     "load_scene",
     "make_box",
+    "match",
     "read_box",
     "read_deck",
     "read_runs",
+    "read_targets",
     "rerun",
     "save_emulators",
     "sensitivity",
@@ -49,12 +55,13 @@ __all__ = [
 ]
 
 _HOMES = {
-    "lacli.api.inference": ("Emulation", "Sensitivity", "emulate", "sensitivity"),
+    "lacli.api.inference": ("Emulation", "Matching", "NothingLeft", "Sensitivity", "emulate", "match", "sensitivity"),
     "lacli.api.mechanics": ("read_deck", "rerun", "simulate", "write_deck"),
     "lacli.api.progress": ("Progress",),
     "lacli.base.errors": ("Cancelled", "LacliError"),
     "lacli.contracts.scene": ("Scene", "load_scene"),
     "lacli.contracts.table": ("RunTable", "read_runs"),
+    "lacli.contracts.targets": ("Targets", "read_targets"),
     "lacli.inference.box": ("Box", "make_box", "read_box"),
     "lacli.inference.emulation.emulator_set": ("EmulatorSet", "load_emulators", "save_emulators"),
     "lacli.mechanics.simulation": ("RunResult",),

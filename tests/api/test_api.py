@@ -19,7 +19,9 @@ from test_bundle import hollow_cube
 
 import lacli
 from lacli.api import progress as api_progress
+from lacli.base import arrays
 from lacli.contracts.bundle import save
+from lacli.contracts.identity import Identity
 from lacli.contracts.table import combine
 from lacli.freefem.program import Progress as SolverProgress
 from lacli.mechanics import simulation
@@ -36,7 +38,7 @@ def test_every_public_name_says_what_it_is(name: str) -> None:
     assert first.rstrip("`").endswith(".")
 
 
-@pytest.mark.parametrize("name", ["simulate", "write_deck", "read_deck", "rerun", "emulate", "sensitivity"])
+@pytest.mark.parametrize("name", ["simulate", "write_deck", "read_deck", "rerun", "emulate", "sensitivity", "match"])
 def test_a_verb_names_its_errors_and_units(name: str) -> None:
     text = inspect.getdoc(getattr(lacli, name)) or ""
     assert "Raises " in text
@@ -47,7 +49,7 @@ def test_a_verb_names_its_errors_and_units(name: str) -> None:
 def test_every_argument_and_result_of_a_verb_is_typed(name: str) -> None:
     verb = getattr(lacli, name)
     known = {other: getattr(lacli, other) for other in NAMES} | vars(api_progress) | vars(sys.modules[verb.__module__])
-    hints = typing.get_type_hints(verb, globalns=known | {"Identity": object, "Callable": Callable})
+    hints = typing.get_type_hints(verb, globalns=known | vars(arrays) | {"Identity": Identity})
     assert set(hints) == {*inspect.signature(verb).parameters, "return"}
 
 
@@ -123,3 +125,16 @@ def test_a_fit_is_cancelled_between_outputs(table: lacli.RunTable) -> None:
     with pytest.raises(lacli.Cancelled, match="cross-validation"):
         lacli.emulate(table, folds=2, starts=1, progress=seen.append, cancel=lambda: len(seen) == 2)
     assert len(seen) == 2
+
+
+def test_matching_leaves_what_reaches_the_target(table: lacli.RunTable) -> None:
+    emulators = lacli.emulate(table, folds=2, starts=1).emulators
+    box = lacli.make_box(["a", "b"], [1.0, 1.0], [2.0, 2.0])
+    there = lacli.Targets(("y",), np.array([4.5]), np.array([0.1]))
+    found = lacli.match(emulators, there, box=box, count=500, following=4)
+    # y = 3 a within 3 sd = 0.3 of 4.5: a within 0.1 of 1.5, a fifth of the box (the emulator's own sd widens it a little)
+    assert found.match.share == pytest.approx(0.2, abs=0.03)
+    assert found.next_runs.shape == (4, 2)
+    assert np.abs(found.match.sample.points[:, 0] - 1.5).max() < 0.12
+    with pytest.raises(lacli.Cancelled):
+        lacli.match(emulators, there, box=box, cancel=lambda: True)
