@@ -15,6 +15,10 @@ class UsageError(LacliError):
     exit_code = 2
 
 
+class Cancelled(LacliError):
+    """The caller of a function no longer wanted it; what was finished is kept, as after Ctrl-C."""
+
+
 class SceneError(UsageError):
     """A scene, or an override of it, is not valid."""
 

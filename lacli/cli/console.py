@@ -5,14 +5,17 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
+
+if TYPE_CHECKING:
+    from lacli.api import progress as api
 
 # what is shown holds names of the user's, columns and paths: brackets and colons in them are no marks of ours
 out = Console(markup=False, emoji=False)
@@ -68,3 +71,17 @@ def progress() -> Iterator[Progress]:
         transient=True,
     ) as bar:
         yield bar
+
+
+@contextmanager
+def stages() -> Iterator[Callable[[api.Progress], None]]:
+    """What shows the progress of a call of the library, a bar for each of its stages."""
+    with progress() as bar:
+        tasks: dict[str, Any] = {}
+
+        def show(event: api.Progress) -> None:
+            if event.stage not in tasks:
+                tasks[event.stage] = bar.add_task(event.stage, total=event.total)
+            bar.update(tasks[event.stage], completed=event.done)
+
+        yield show

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from lacli.cli.console import out, print_json, print_table, progress
-from lacli.cli.tables import BoxFile, Inputs, Json, Linear, Names, Outputs, Seed, logarithmic, read, superseded
+from lacli.api import inference
+from lacli.cli.console import out, print_json, print_table, stages
+from lacli.cli.tables import BoxFile, Inputs, Json, Linear, Names, Outputs, Seed, box_of_inputs, read, superseded
 
 
 def command(
@@ -29,20 +30,15 @@ def command(
     Example: lacli emulate --inputs X.csv --outputs Y.csv --out emulators.npz
     """
     from lacli.base.files import check_file
-    from lacli.base.threads import one_thread
-    from lacli.inference.emulation.emulator import fit_emulators
-    from lacli.inference.emulation.emulator_set import EmulatorSet, emulators_identity, save_emulators
-    from lacli.inference.emulation.validation import cross_validate
+    from lacli.inference.emulation.emulator_set import save_emulators
 
     check_file(file)
     table = read(inputs, outputs, names)
-    options: dict[str, Any] = {"starts": starts, "seed": seed, "may_log": logarithmic(table, box_file, linear)}
-    with progress() as bar, one_thread():
-        task = bar.add_task("cross-validation", total=len(table.outputs) * folds)
-        scores = cross_validate(table, count=folds, tick=lambda: bar.advance(task), **options)
-        task = bar.add_task("emulators", total=len(table.outputs))
-        emulators = EmulatorSet(table.inputs, tuple(fit_emulators(table, tick=lambda: bar.advance(task), **options)))
-    save_emulators(file, emulators, emulators_identity(table, **options))
+    with stages() as show:
+        box = box_of_inputs(table.inputs, box_file) if box_file else None
+        made = inference.emulate(table, box=box, linear=linear or (), folds=folds, starts=starts, seed=seed, progress=show)
+    scores = made.scores
+    save_emulators(file, made.emulators, made.identity)
     superseded(file.parent, file.with_suffix(".png").name)
     pictures = []
     if figures:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from lacli.base.errors import LacliError, UsageError
+from lacli.api import inference
+from lacli.base.errors import UsageError
 from lacli.cli.console import err, out, print_json, print_table
 from lacli.cli.tables import (
     BoxFile,
@@ -18,17 +19,11 @@ from lacli.cli.tables import (
     Outputs,
     Seed,
     box_of,
-    covered,
     fitted,
     selected,
     superseded,
     warn,
 )
-
-if TYPE_CHECKING:
-    from lacli.base.arrays import FloatArray
-    from lacli.inference.box import Box
-    from lacli.inference.matching import Wave
 
 
 def command(
@@ -60,9 +55,6 @@ def command(
     from lacli.contracts.identity import identify, write_identity
     from lacli.contracts.targets import read_targets
     from lacli.inference.emulation.emulator_set import load_emulators
-    from lacli.inference.matching import Region, Wave, match, next_runs, ruled_out_by
-    from lacli.inference.nroy import EmptyRegionError
-    from lacli.inference.verdict import judge
 
     check_folder(folder)
     targets = read_targets(targets_file)
@@ -74,35 +66,33 @@ def command(
         before = load_emulators(path)
         if before.inputs != emulators.inputs:
             raise UsageError(f"{path}: its inputs are not those of this wave.")
-        before = selected(before, targets.names, path)
-        waves.append(Wave(before, targets.widened(before.error_sd), earlier_threshold))
-    wave = Wave(emulators, targets.widened(emulators.error_sd), threshold)
-    region = Region(box, (*waves, wave))
+        waves.append(selected(before, emulators.outputs, path))
     existing = table.x if table is not None else emulators.training_inputs()
-    outside = covered(box, existing, _open_to(box, waves))
     try:
         with err.status("matching") as status:
-            found = match(region, count, seed=seed, tick=lambda t: status.update(f"matching (level {t:.3g}; 1 is the region)"))
-    except EmptyRegionError as error:
-        reach = judge(emulators, wave.targets, box, error.best, threshold)
-        for text in reach.warnings():
+            matched = inference.match(
+                emulators, targets, box=box, earlier=waves, threshold=threshold, earlier_threshold=earlier_threshold,
+                count=count, following=following, runs=existing, seed=seed, progress=lambda event: status.update(event.stage),
+            )  # fmt: skip
+    except inference.NothingLeft as error:
+        for text in error.warnings:
             warn(text)
-        raise LacliError(
-            "nothing is left: at the nearest point of the box, " + ruled_out_by(wave, error.best[None])
-            + ". Check the targets' units and standard deviations, or widen the box."
-        ) from error  # fmt: skip
+        raise
+    for text in matched.warnings:
+        warn(text)
+    region, found, outside = matched.region, matched.match, matched.outside
     folder.mkdir(parents=True, exist_ok=True)
     superseded(folder, "nroy.csv", "next.csv", "region.png", "outputs.png")
     write_identity(
         folder / "identity.json", identify("result", region=region, count=count, seed=seed, runs=existing, following=following)
     )
     points = pd.DataFrame(found.sample.points, columns=list(box.names))
-    points["implausibility"] = wave.implausibility(found.sample.points).max(1)
+    points["implausibility"] = region.waves[-1].implausibility(found.sample.points).max(1)
     with replacing(folder / "nroy.csv") as temporary:
         points.to_csv(temporary, index=False)
     if following:
         with replacing(folder / "next.csv") as temporary:
-            pd.DataFrame(next_runs(found.sample, following, existing), columns=list(box.names)).to_csv(temporary, index=False)
+            pd.DataFrame(matched.next_runs, columns=list(box.names)).to_csv(temporary, index=False)
     pictures = []
     if figures:
         from lacli.report.inference_figures_matching import outputs_figure, region_figure
@@ -124,15 +114,3 @@ def command(
         [[n, float(points[n].min()), float(points[n].max()), float(points[n].mean()), float(points[n].std())] for n in box.names],
     )
     out.print(f"Sample, next runs and figures in {folder}", highlight=False, soft_wrap=True)
-
-
-def _open_to(box: Box, waves: list[Wave]) -> FloatArray | None:
-    """Points (m, d) of the box that the earlier waves have not ruled out; None (the whole box) without waves."""
-    import numpy as np
-
-    from lacli.inference.matching import Region
-
-    if not waves:
-        return None
-    points = box.uniform(1 << 15, np.random.default_rng(0))
-    return points[Region(box, tuple(waves)).contains(points)]

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from lacli.base.errors import UsageError
-from lacli.cli.console import out, print_json, print_table, progress
-from lacli.cli.tables import BoxFile, Emulators, Inputs, Json, Names, Outputs, Seed, box_of, covered, fitted, superseded
+from lacli.api import inference
+from lacli.cli.console import out, print_json, print_table, stages
+from lacli.cli.tables import BoxFile, Emulators, Inputs, Json, Names, Outputs, Seed, box_of, fitted, superseded, warn
 
 
 def command(
@@ -33,17 +33,16 @@ def command(
 
     from lacli.base.files import check_folder, replacing
     from lacli.contracts.identity import identify, write_identity
-    from lacli.inference.sensitivity import emulator_indices
 
-    if count < 2 or count & (count - 1):
-        raise UsageError(f"-n {count}: must be a power of two (a Sobol' sequence is balanced only there).")
+    inference.check_count(count)
     check_folder(folder)
     emulators, table = fitted(inputs, outputs, names, emulators_file, seed, box_file)
     box = box_of(emulators, box_file, table)
-    outside = covered(box, emulators.training_inputs())
-    with progress() as bar:
-        task = bar.add_task("Sobol' indices", total=len(emulators.outputs))
-        s = emulator_indices(emulators, box.lower, box.upper, count, draws=draws, seed=seed, tick=lambda: bar.advance(task))
+    with stages() as show:
+        found = inference.sensitivity(emulators, box=box, count=count, draws=draws, seed=seed, progress=show)
+    if found.warning:
+        warn(found.warning)
+    s, outside = found.indices, found.outside
     rank = s.ranking()
     rows = [
         {

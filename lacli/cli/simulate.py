@@ -9,6 +9,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from lacli.api import mechanics
 from lacli.base.errors import SimulationError, UsageError
 from lacli.cli.console import err, fail, out, print_json, print_table
 from lacli.cli.scenes import read_scene
@@ -83,20 +84,17 @@ def _run(scene: Scene, root: Path) -> tuple[Any, bool]:
     """The run's result, and whether it was there already."""
     from lacli.base.files import check_folder
     from lacli.cli.live import LiveLine
-    from lacli.mechanics.simulation import run_scene
 
     check_folder(root)
     before = find_run(root, run_key(scene))
     with LiveLine() as line:
-        result = run_scene(scene, root, on_progress=line)
+        result = mechanics.simulate(scene, store=root, progress=lambda event: line(event.solver))
     repeated = before is not None and before.manifest.get("finished") == result.manifest.get("finished")
     return result, repeated
 
 
 def _write(scene: Scene, folder: Path, as_json: bool) -> None:
-    from lacli.mechanics.simulation import write_by_hand
-
-    script = write_by_hand(scene, folder)
+    script = mechanics.write_deck(scene, folder)
     if as_json:
         print_json({"folder": str(folder), "script": str(script)})
         return
@@ -104,9 +102,7 @@ def _write(scene: Scene, folder: Path, as_json: bool) -> None:
 
 
 def _read(folder: Path, as_json: bool) -> None:
-    from lacli.mechanics.simulation import read_by_hand
-
-    features = read_by_hand(folder)
+    features = mechanics.read_deck(folder)
     if as_json:
         print_json({"folder": str(folder), "features": features})
     else:
@@ -115,10 +111,9 @@ def _read(folder: Path, as_json: bool) -> None:
 
 def _rerun(folder: Path, as_json: bool) -> None:
     from lacli.cli.live import LiveLine
-    from lacli.mechanics.simulation import rerun
 
     with LiveLine() as line:
-        before, after = rerun(folder, on_progress=line)
+        before, after = mechanics.rerun(folder, progress=lambda event: line(event.solver))
     if as_json:
         print_json({"folder": str(folder), "stored": before, "again": after})
         return

@@ -12,7 +12,7 @@ from lacli.base.errors import UsageError
 from lacli.cli.console import err, progress
 
 if TYPE_CHECKING:
-    from lacli.base.arrays import BoolArray, FloatArray
+    from lacli.base.arrays import FloatArray
     from lacli.contracts.table import RunTable
     from lacli.inference.box import Box
     from lacli.inference.emulation.emulator_set import EmulatorSet
@@ -66,6 +66,7 @@ def fitted(
     box_file: Path | None = None,
 ) -> tuple[EmulatorSet, RunTable | None]:
     """Emulators from a file, or fitted to the tables (then with the table): for the box of ``box_file``, if given."""
+    from lacli.api.inference import logarithmic
     from lacli.inference.emulation.emulator import fit_emulators
     from lacli.inference.emulation.emulator_set import EmulatorSet, load_emulators
 
@@ -75,30 +76,11 @@ def fitted(
         loaded = load_emulators(emulators)
         return (selected(loaded, names, emulators) if names else loaded), None
     table = read(inputs, outputs, names)
-    may_log = logarithmic(table, box_file, None)
+    may_log = logarithmic(table, box_of_inputs(table.inputs, box_file) if box_file else None, ())
     with progress() as bar:
         task = bar.add_task("emulators", total=len(table.outputs))
         result = fit_emulators(table, seed=seed, tick=lambda: bar.advance(task), may_log=may_log)
     return EmulatorSet(table.inputs, tuple(result)), table
-
-
-def logarithmic(table: RunTable, box_file: Path | None, linear: list[str] | None) -> BoolArray:
-    """Inputs that may be taken as logarithms (d,): positive in the runs and in the box, and not named ``linear``.
-
-    Raises UsageError for a name that is no input.
-    """
-    import numpy as np
-
-    from lacli.inference.emulation.scales import may_be_logarithmic
-
-    unknown = [name for name in linear or [] if name not in table.inputs]
-    if unknown:
-        raise UsageError(f"--linear {', '.join(unknown)}: no input of the table; its inputs are {', '.join(table.inputs)}.")
-    found = may_be_logarithmic(table.x)
-    if box_file is not None:
-        box = box_of_inputs(table.inputs, box_file)
-        found &= may_be_logarithmic(np.vstack([table.x, box.lower, box.upper]))
-    return found & np.array([name not in (linear or []) for name in table.inputs])
 
 
 def selected(emulators: EmulatorSet, names: Sequence[str], file: Path) -> EmulatorSet:

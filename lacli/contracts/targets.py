@@ -24,7 +24,8 @@ _NOTHING, _LARGEST = 1e-100, 1e100
 
 @dataclass(frozen=True)
 class Targets:
-    """names (p,), mean (p,) and sd (p,) in the features' own units; covariance (p, p) of the errors, None: independent."""
+    """Targets of features by name: names (p,), mean (p,) and sd (p,) in the features' own units; covariance (p, p) of the errors,
+    None: independent."""
 
     names: tuple[str, ...]
     mean: FloatArray

@@ -24,10 +24,10 @@ from typing import Any
 
 import numpy as np
 
-from lacli import __version__
 from lacli.base.errors import StorageError
 from lacli.base.files import room, storing, write_json, write_text
 from lacli.base.locks import lock
+from lacli.base.version import __version__
 from lacli.contracts.failures import of_the_machine
 from lacli.contracts.identity import file_digest, run_key
 from lacli.contracts.scene import Scene, dump_scene

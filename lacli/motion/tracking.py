@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from lacli import __version__
 from lacli.anatomy.inputs import image as images
 from lacli.anatomy.inputs.image import Image
 from lacli.anatomy.surface_features import Endocardium
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import InputError, LacliError
 from lacli.base.process import while_wanted
+from lacli.base.version import __version__
 from lacli.motion import frames as framing
 from lacli.motion.field import Field, read_field
 from lacli.motion.frames import Source

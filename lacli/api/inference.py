@@ -1,0 +1,228 @@
+"""Inference in one call each: emulate a table of runs, rank its inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from lacli.api.progress import Cancel, OnProgress, Progress, Stage, check
+from lacli.base.errors import LacliError, UsageError
+
+if TYPE_CHECKING:
+    from lacli.base.arrays import BoolArray, FloatArray
+    from lacli.contracts.identity import Identity
+    from lacli.contracts.table import RunTable
+    from lacli.contracts.targets import Targets
+    from lacli.inference.box import Box
+    from lacli.inference.emulation.emulator_set import EmulatorSet
+    from lacli.inference.emulation.validation import Scores
+    from lacli.inference.matching import Match, Region
+    from lacli.inference.sensitivity import Sobol
+
+
+@dataclass(frozen=True)
+class Emulation:
+    """Emulators of a table's outputs, in its order, the scores of their cross-validation, and what they were made from."""
+
+    emulators: EmulatorSet
+    scores: tuple[Scores, ...]
+    identity: Identity
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """Sobol' indices of the emulators' outputs (p) to their inputs (d) over the box, with the box.
+
+    outside: the share of the box where no run has been; warning: that in words, empty where it is next to nothing.
+    """
+
+    indices: Sobol
+    box: Box
+    outside: float
+    warning: str
+
+
+@dataclass(frozen=True)
+class Matching:
+    """The region that history matching leaves, its measure and sample, and the runs proposed for the next wave (k, d).
+
+    outside: the share of what was open to this wave where no run has been; warnings: what a user must know of it.
+    """
+
+    region: Region
+    match: Match
+    next_runs: FloatArray
+    outside: float
+    warnings: tuple[str, ...]
+
+
+class NothingLeft(LacliError):
+    """No point of the box reaches the targets; ``warnings`` say how far its nearest point is from each."""
+
+    def __init__(self, message: str, warnings: tuple[str, ...]) -> None:
+        super().__init__(message)
+        self.warnings = warnings
+
+
+def emulate(
+    table: RunTable,
+    *,
+    box: Box | None = None,
+    linear: Sequence[str] = (),
+    folds: int = 5,
+    starts: int = 3,
+    seed: int = 0,
+    progress: OnProgress | None = None,
+    cancel: Cancel | None = None,
+) -> Emulation:
+    """One Gaussian-process emulator per output of the table, cross-validated over ``folds`` folds.
+
+    Emulators take inputs and give outputs in the table's units. box: where they will be used (default: where the runs
+    are); an input that reaches 0 there, or is named in ``linear``, is never taken as its logarithm. starts: starting
+    points of each fit. Raises UsageError, Cancelled.
+    """
+    from lacli.base.threads import one_thread
+    from lacli.inference.emulation.emulator import fit_emulators
+    from lacli.inference.emulation.emulator_set import EmulatorSet, emulators_identity
+    from lacli.inference.emulation.validation import cross_validate
+
+    if folds < 2 or starts < 1:
+        raise UsageError(f"emulate: folds {folds}, starts {starts}; at least 2 and 1.")
+    options: dict[str, Any] = {"starts": starts, "seed": seed, "may_log": logarithmic(table, box, linear)}
+    with one_thread():
+        stage = Stage("cross-validation", len(table.outputs) * folds, progress, cancel).begin()
+        scores = cross_validate(table, count=folds, tick=stage.step, **options)
+        stage = Stage("emulators", len(table.outputs), progress, cancel).begin()
+        emulators = EmulatorSet(table.inputs, tuple(fit_emulators(table, tick=stage.step, **options)))
+    return Emulation(emulators, tuple(scores), emulators_identity(table, **options))
+
+
+def sensitivity(
+    emulators: EmulatorSet,
+    *,
+    box: Box | None = None,
+    count: int = 1024,
+    draws: int = 32,
+    seed: int = 1,
+    progress: OnProgress | None = None,
+    cancel: Cancel | None = None,
+) -> Sensitivity:
+    """First-order, total and second-order Sobol' indices of each output (p) to each input (d), without units.
+
+    box: ranges of the inputs, in their units (default: published ranges of known inputs, the runs' ranges of others);
+    count: base points, a power of two; draws: functions drawn from each emulator for its own uncertainty.
+    Raises UsageError, LacliError where next to no run lies in the box, Cancelled.
+    """
+    import numpy as np
+
+    from lacli.inference.box import table_box
+    from lacli.inference.coverage import check_coverage
+    from lacli.inference.sensitivity import emulator_indices
+
+    check_count(count)
+    if box is None:
+        box = table_box(emulators.inputs, np.vstack(emulators.range()))
+    elif box.names != emulators.inputs:
+        raise UsageError(f"sensitivity: the box must hold exactly the inputs {', '.join(emulators.inputs)}, in this order.")
+    covered = check_coverage(box, emulators.training_inputs())
+    stage = Stage("Sobol' indices", len(emulators.outputs), progress, cancel).begin()
+    indices = emulator_indices(emulators, box.lower, box.upper, count, draws=draws, seed=seed, tick=stage.step)
+    return Sensitivity(indices, box, covered.share, covered.words())
+
+
+def check_count(count: int) -> None:
+    """Raises UsageError where a number of base points is no power of two."""
+    if count < 2 or count & (count - 1):
+        raise UsageError(f"-n {count}: must be a power of two (a Sobol' sequence is balanced only there).")
+
+
+def logarithmic(table: RunTable, box: Box | None, linear: Sequence[str]) -> BoolArray:
+    """Inputs that may be taken as logarithms (d,): positive in the runs and in the box, and not named ``linear``.
+
+    Raises UsageError for a name that is no input, and for a box of other inputs.
+    """
+    import numpy as np
+
+    from lacli.inference.emulation.scales import may_be_logarithmic
+
+    unknown = [name for name in linear if name not in table.inputs]
+    if unknown:
+        raise UsageError(f"--linear {', '.join(unknown)}: no input of the table; its inputs are {', '.join(table.inputs)}.")
+    found: BoolArray = may_be_logarithmic(table.x)
+    if box is not None:
+        if box.names != table.inputs:
+            raise UsageError(f"emulate: the box must hold exactly the inputs {', '.join(table.inputs)}, in this order.")
+        found = found & may_be_logarithmic(np.vstack([table.x, box.lower, box.upper]))
+    found &= np.array([name not in linear for name in table.inputs])
+    return found
+
+
+def match(
+    emulators: EmulatorSet,
+    targets: Targets,
+    *,
+    box: Box | None = None,
+    earlier: Sequence[EmulatorSet] = (),
+    threshold: float = 3.0,
+    earlier_threshold: float = 3.5,
+    count: int = 10_000,
+    following: int = 100,
+    runs: FloatArray | None = None,
+    seed: int = 0,
+    progress: OnProgress | None = None,
+    cancel: Cancel | None = None,
+) -> Matching:
+    """What history matching leaves of the box: its share, ``count`` points sampled uniformly from it, ``following`` next runs.
+
+    Emulators and targets are in the same units; targets of outputs without an emulator are left out. earlier: emulators of
+    the earlier waves, in order, of the same inputs and outputs; threshold, earlier_threshold: implausibilities (in standard
+    deviations) from which a point is ruled out; runs (n, d): those done (default: the emulators').
+    Raises NothingLeft, UsageError, LacliError where next to no run lies in the box, Cancelled.
+    """
+    import numpy as np
+
+    from lacli.inference.box import table_box
+    from lacli.inference.coverage import check_coverage
+    from lacli.inference.matching import Region, Wave, next_runs, ruled_out_by
+    from lacli.inference.matching import match as measure
+    from lacli.inference.nroy import EmptyRegionError
+    from lacli.inference.verdict import judge
+
+    targets = targets.select(emulators.outputs)
+    if box is None:
+        box = table_box(emulators.inputs, np.vstack(emulators.range()))
+    elif box.names != emulators.inputs:
+        raise UsageError(f"match: the box must hold exactly the inputs {', '.join(emulators.inputs)}, in this order.")
+    for before in earlier:
+        if before.inputs != emulators.inputs or before.outputs != emulators.outputs:
+            raise UsageError(
+                "match: the emulators of an earlier wave must have the inputs and outputs of this wave, in its order."
+            )
+    waves = tuple(Wave(before, targets.widened(before.error_sd), earlier_threshold) for before in earlier)
+    wave = Wave(emulators, targets.widened(emulators.error_sd), threshold)
+    region = Region(box, (*waves, wave))
+    runs = emulators.training_inputs() if runs is None else runs
+    candidates = None  # the whole box, or what the earlier waves have not ruled out
+    if waves:
+        candidates = box.uniform(1 << 15, np.random.default_rng(0))
+        candidates = candidates[Region(box, waves).contains(candidates)]
+    covered = check_coverage(box, runs, candidates)
+    check(cancel, "matching")
+
+    def tick(level: float) -> None:
+        if progress is not None:
+            progress(Progress(f"matching (level {level:.3g}; 1 is the region)", min(1.0, 1.0 / level) if level > 0 else 1.0, 1.0))
+        check(cancel, "matching")
+
+    said = tuple(filter(None, [covered.words()]))
+    try:
+        found = measure(region, count, seed=seed, tick=tick)
+    except EmptyRegionError as error:
+        raise NothingLeft(
+            "nothing is left: at the nearest point of the box, " + ruled_out_by(wave, error.best[None])
+            + ". Check the targets' units and standard deviations, or widen the box.",
+            (*said, *judge(emulators, wave.targets, box, error.best, threshold).warnings()),
+        ) from error  # fmt: skip
+    proposed = next_runs(found.sample, following, runs) if following else np.empty((0, box.d))
+    return Matching(region, found, proposed, covered.share, said)
