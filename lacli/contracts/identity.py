@@ -21,11 +21,8 @@ import numpy as np
 from lacli.base.errors import AnatomyError, UsageError
 from lacli.base.files import write_json
 from lacli.base.resources import folder as resource_folder
-<<<<<<< HEAD
 from lacli.base.schema import array_file
-=======
 from lacli.base.version import __version__
->>>>>>> api
 from lacli.contracts.scene import Scene
 
 # a number for each kind of kept thing: raised when what is kept is made in another way, so that nothing old is taken for new
