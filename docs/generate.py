@@ -23,7 +23,7 @@ ROOMS = {
     "inference": "design, emulation, matching, posterior",
     "mechanics": "prepare, write, run, read, keep a scene",
     "freefem": "the external program; knows no atrium",
-    "motion": "the mitral annulus and its frames",
+    "motion": "registration, frames, phases, targets",
     "anatomy": "image or surface to wall, regions, fibres",
     "contracts": "what passes between rooms",
     "geometry": "triangles and tetrahedra; no atrium in it",
@@ -200,9 +200,9 @@ def rooms_picture() -> str:
     for a, b in direct(uses()):
         (xa, ya), (xb, yb) = place[a], place[b]
         ya += height
-        floors_apart = round((yb - ya) / (height + gap) + 0.4)
+        floors_apart = int((yb - ya) // (height + gap))  # floors between
         side = 1 if xa + xb >= 680 else -1
-        bend = 0 if floors_apart <= 0 else side * (width / 2 + 40 + 8 * floors_apart)
+        bend = 0 if floors_apart <= 0 else side * (width / 2 + 40 + 12 * floors_apart)
         if bend:  # past the boxes between
             x = side * width / 2 - side * 4
             path = f"M{xa + x:g},{ya:g} C{340 + bend:g},{ya + 20:g} {340 + bend:g},{yb - 20:g} {xb + x:g},{yb:g}"

@@ -159,6 +159,8 @@ def altered(value: Any) -> Any:
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         field = dataclasses.fields(value)[-1]
         return dataclasses.replace(value, **{field.name: altered(getattr(value, field.name))})
+    if value is None:
+        return np.eye(2)  # a covariance, where there was none
     if isinstance(value, np.ndarray):
         return ~value if value.dtype == bool else value + 0.125
     if isinstance(value, tuple) and value and isinstance(value[0], str):
@@ -211,9 +213,9 @@ def test_a_calibration_is_told_by_box_targets_settings_and_runs() -> None:
 
 
 def test_a_field_that_targets_get_one_day_counts() -> None:
-    """A covariance, say: identities walk the fields there are."""
-    wider = dataclasses.make_dataclass("Wider", [("correlation", Any)], bases=(Targets,), frozen=True)
-    pair = [wider(("v_ml", "d_mm"), TARGETS.mean, TARGETS.sd, np.array([[1.0, r], [r, 1.0]])) for r in (0.0, 0.5)]
+    """A correlation, say: identities walk the fields there are."""
+    wider = dataclasses.make_dataclass("Wider", [("correlation", Any, None)], bases=(Targets,), frozen=True)
+    pair = [wider(("v_ml", "d_mm"), TARGETS.mean, TARGETS.sd, None, np.array([[1.0, r], [r, 1.0]])) for r in (0.0, 0.5)]
     one, two = (calibration.calibration_identity(BOX, targets, SETTINGS, None) for targets in pair)
     assert differences(one, two) == ["targets.correlation was [[1.0, 0.0], [0.0, 1.0]], is [[1.0, 0.5], [0.5, 1.0]]"]
 

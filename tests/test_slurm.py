@@ -99,7 +99,7 @@ def test_runs_on_slurm(slurm: Path, scene_of: SceneOf) -> None:
         log_directory=str(slurm),
         local_directory=str(slurm),
         job_script_prologue=[f"export PYTHONPATH={HERE}"],
-        scheduler_options={"dashboard_address": None, "interface": "lo"},
+        scheduler_options={"dashboard": False, "dashboard_address": ":0", "interface": "lo"},
     ) as cluster:
         cluster.scale(jobs=1)
         results = dict(run_scenes(scenes(scene_of, 0.01, 0.02), root, scheduler=cluster.scheduler_address, task=busy))

@@ -12,16 +12,26 @@ from numpy.typing import NDArray
 
 from lacli.base.arrays import FloatArray
 from lacli.contracts.bundle import Bundle
-from lacli.contracts.labels import ENDO, EPI, OPENINGS, PLANES, REGIONS, RINGS
+from lacli.contracts.labels import (
+    ENDO,
+    EPI,
+    OPENINGS,
+    PLANE_COLOUR,
+    PLANES,
+    REGION_COLOURS,
+    REGIONS,
+    RING_COLOUR,
+    RINGS,
+    is_plane,
+    is_ring,
+    is_wall,
+)
 from lacli.geometry.surface import Surface
 
 # off screen rendering must not look for an X server
 os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
 
 
-# colour-blind safe (Okabe and Ito 2008); rings grey, planes pale
-COLOURS = {"anterior": "#0072B2", "posterior": "#E69F00", "septum": "#009E73", "lateral": "#CC79A7", "roof": "#F0E442"}
-RING, PLANE = "#7f7f7f", "#e8e4dc"
 # mostly ambient: shadows must not turn one colour of a legend into another
 LIGHT = {"ambient": 0.5, "diffuse": 0.5, "specular": 0.0}
 
@@ -136,14 +146,14 @@ def regions(bundle: Bundle, file: Path) -> None:
     label = np.asarray(surface.cell_data["label"])
 
     def draw(plotter: Any) -> None:
-        groups = [(COLOURS[n], label == v) for n, v in REGIONS.items()]
-        groups += [(RING, (label >= 11) & (label <= 16)), (PLANE, label >= 21)]
+        groups = [(REGION_COLOURS[n], label == v) for n, v in REGIONS.items()]
+        groups += [(RING_COLOUR, is_ring(label)), (PLANE_COLOUR, is_plane(label))]
         for colour, mine in groups:
             if mine.any():
                 plotter.add_mesh(surface.extract_cells(mine), color=colour, smooth_shading=False, **LIGHT)
 
     _panels(file, bundle, _titled(bundle, range(6), "Regions", draw), 3)
-    _legend(file, {**COLOURS, "rings": RING, "planes of the openings": PLANE})
+    _legend(file, {**REGION_COLOURS, "rings": RING_COLOUR, "planes of the openings": PLANE_COLOUR})
 
 
 def _legend(file: Path, colours: dict[str, str]) -> None:
@@ -176,13 +186,13 @@ def fibres(bundle: Bundle, file: Path) -> None:
     corner = bundle.tets[:, :4]
     centre = bundle.points[corner].mean(axis=1)
     depth = bundle.transmural[corner].mean(axis=1)
-    wall = bundle.region < 20
+    wall = is_wall(bundle.region)
     halves = {"outer half of the wall": (wall & (depth >= 0.5), EPI), "inner half of the wall": (wall & (depth < 0.5), ENDO)}
     middle = (bundle.points.max(axis=0) + bundle.points.min(axis=0)) / 2
     size = float(np.median(np.linalg.norm(bundle.points[corner[:, 0]] - bundle.points[corner[:, 1]], axis=1)))
 
     def drawing(mine: NDArray[np.bool_], side: int, up: FloatArray, bar: bool) -> Callable[[Any], None]:
-        rings = (bundle.tags >= 11) & (bundle.tags <= 16) if side == EPI else bundle.tags >= 21
+        rings = is_ring(bundle.tags) if side == EPI else is_plane(bundle.tags)
         skin = _boundary(bundle, (bundle.tags == side) | rings)
         f = fibre[mine]
         # strokes lie just over the skin, on the side of the camera only
@@ -287,7 +297,7 @@ def square(bundle: Bundle, file: Path) -> None:
     corner = bundle.uac[layer.triangles]
     whole = np.ptp(corner, axis=1).max(axis=1) < 0.25
     names = {v: n for n, v in REGIONS.items()} | {v: "rings" for v in RINGS.values()}
-    colour = [COLOURS.get(names[int(v)], RING) for v in label[whole]]
+    colour = [REGION_COLOURS.get(names[int(v)], RING_COLOUR) for v in label[whole]]
     figure, axis = plt.subplots(figsize=(6.4, 6.0), dpi=150)
     axis.add_collection(PolyCollection(list(corner[whole]), facecolors=colour, edgecolors="#00000030", linewidths=0.3))
     for name in OPENINGS[1:]:
@@ -301,7 +311,7 @@ def square(bundle: Bundle, file: Path) -> None:
     axis.set(xlim=(-0.01, 1.01), ylim=(-0.01, 1.01), aspect="equal")
     axis.set_xlabel("alpha (-): 0 septal, 1 lateral; triangles across these two lines are left out")
     axis.set_ylabel("beta (-): 0 posterior mitral rim, 1 anterior mitral rim")
-    legend = [Patch(color=c, label=n) for n, c in COLOURS.items()] + [Patch(color=RING, label="rings")]
+    legend = [Patch(color=c, label=n) for n, c in REGION_COLOURS.items()] + [Patch(color=RING_COLOUR, label="rings")]
     axis.legend(
         handles=legend, loc="upper center", bbox_to_anchor=(0.5, 1.1), ncol=6, frameon=False, fontsize=8, handlelength=1.0
     )

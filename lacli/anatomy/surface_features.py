@@ -11,7 +11,7 @@ import numpy as np
 
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.contracts.bundle import Bundle
-from lacli.contracts.labels import ENDO, REGIONS
+from lacli.contracts.labels import ENDO, REGIONS, is_body
 from lacli.geometry.quadrature import area_vectors, at_quadrature, enclosed_volume_ml, tangents, triangle_shapes
 
 _FLAT = 1e-12
@@ -38,29 +38,13 @@ def _endocardial_cells(bundle: Bundle) -> tuple[IntArray, IntArray]:
     endo = bundle.triangles[bundle.tags == ENDO]
     at = order[np.searchsorted(key[order], _face_key(endo[:, :3], size))]
     cell = owner[at]
-    body = bundle.region[cell] <= max(REGIONS.values())
+    body = is_body(bundle.region[cell])
     return endo[body], cell[body]
 
 
 def _face_key(faces: IntArray, size: int) -> IntArray:
     a, b, c = np.sort(faces, axis=1).T
     return (a * size + b) * size + c if size < 2_000_000 else a * size * size + b * size + c
-
-
-def displacements_mm(bundle: Bundle, image: FloatArray, points: FloatArray) -> dict[str, float]:
-    """Mean distance from the image's end-diastolic endocardium, by area of the image: d_global_mm and d_<region>_mm.
-
-    Weighting by area is the mean over element centres of an even mesh, and converges under refinement.
-    """
-    triangles, region = endocardial_regions(bundle)
-    weight = np.linalg.norm(area_vectors(triangles, image), axis=2)
-    moved = np.linalg.norm(at_quadrature(triangles, points - image), axis=2)
-    result = {"d_global_mm": float((weight * moved).sum() / weight.sum())}
-    for name, number in REGIONS.items():
-        here = region == number
-        if here.any():
-            result[f"d_{name}_mm"] = float((weight[here] * moved[here]).sum() / weight[here].sum())
-    return result
 
 
 @dataclass(frozen=True)
@@ -121,6 +105,7 @@ class Endocardium:
         if self.along is not None:
             fibre = self.along[..., :1] * d1 + self.along[..., 1:] * d2
             fields["fibre_strain_{}"] = 0.5 * ((fibre**2).sum(2) - 1.0)
+        # each region's mean of every field
         for region, number in REGIONS.items():
             here = self.region == number
             if not here.any():

@@ -98,7 +98,7 @@ def _pool(labels: Path | None, la: int | None, anatomy: Any) -> tuple[Any, list[
             return extraction.surface_of(blood.mask), [f"{labels}: {note}" for note in blood.notes]
     from lacli.geometry.subdivision import straight
 
-    triangles = straight(anatomy.triangles[(anatomy.tags == 1) | (anatomy.tags >= 21)])[:, ::-1].copy()
+    triangles = straight(anatomy.cavity_triangles())[:, ::-1].copy()
     return compact(Surface(anatomy.points, triangles, np.zeros(len(triangles), dtype=np.int64))), []
 
 

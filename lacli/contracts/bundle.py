@@ -14,7 +14,7 @@ from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.documents import read_json
 from lacli.base.errors import AnatomyError
 from lacli.base.quiet import quiet, reason
-from lacli.contracts.labels import ENDO, EPI, OTHER, PLANES, REGIONS, RINGS
+from lacli.contracts.labels import ENDO, EPI, OTHER, PLANES, REGIONS, RINGS, is_plane
 from lacli.geometry.quadrature import enclosed_volume_ml
 from lacli.geometry.tetrahedra import TET10_EDGES, boundary_faces
 
@@ -59,7 +59,7 @@ class Bundle:
 
     def cavity_triangles(self) -> IntArray:
         """Triangles of the closed cavity surface (endocardium and valve planes)."""
-        keep = (self.tags == ENDO) | np.isin(self.tags, list(PLANES.values()))
+        keep = (self.tags == ENDO) | is_plane(self.tags)
         return self.triangles[keep]
 
     def cavity_volume_ml(self) -> float:
@@ -69,7 +69,7 @@ class Bundle:
 
     def wall_volume_ml(self) -> float:
         """Volume of the wall and its rings, without the valve planes, curved faces included, mL."""
-        wall = self.tets[~np.isin(self.region, list(PLANES.values()))]
+        wall = self.tets[~is_plane(self.region)]
         corners, _ = boundary_faces(wall)
         return enclosed_volume_ml(corners if self.order == 1 else _with_middles(corners, wall), self.points)
 

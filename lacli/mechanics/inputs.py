@@ -12,7 +12,7 @@ from lacli.base.arrays import FloatArray
 from lacli.base.errors import AnatomyError
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.case import Case
-from lacli.contracts.labels import BODY_REGIONS, EPI, PLANES, REGIONS, RINGS
+from lacli.contracts.labels import BODY_REGIONS, ENDO, EPI, REGIONS, RINGS, is_body, is_plane
 from lacli.contracts.motion import Motion
 from lacli.contracts.scene import Materials, Pericardium
 from lacli.freefem.files import CELL_ORDER, FACE_ORDER, write_arrays, write_medit
@@ -43,7 +43,7 @@ def write_inputs(case: Case, folder: Path) -> None:
     def write_faces(name: str, keep: NDArray[np.bool_], weight: FloatArray) -> None:
         write_arrays(folder / name, faces[keep], weight)
 
-    cavity = (bundle.tags == 1) | np.isin(bundle.tags, list(PLANES.values()))
+    cavity = (bundle.tags == ENDO) | is_plane(bundle.tags)
     write_faces("pressure.txt", cavity, np.ones(3 * int(cavity.sum())))
     if plan.vein_springs:
         veins = np.isin(bundle.tags, [RINGS["rspv"], RINGS["ripv"]])
@@ -77,8 +77,8 @@ def annulus_spline(motion: Motion) -> CubicSpline:
 def material_table(bundle: Bundle, materials: Materials, kappa_points_kpa: float) -> FloatArray:
     """(m, 12): law, C, alpha, bf, bft, bt, kappa at the points and on the pressure field, fibre, stabilisation (1/kPa)."""
     table = np.zeros((len(bundle.tets), 12))
-    body = np.isin(bundle.region, list(REGIONS.values()))
-    stiff = (bundle.region == RINGS["mv"]) | np.isin(bundle.region, list(PLANES.values()))
+    body = is_body(bundle.region)
+    stiff = (bundle.region == RINGS["mv"]) | is_plane(bundle.region)
     guccione = body & (materials.law == "guccione")
     table[:, 0] = ~guccione
     table[:, 1] = np.where(stiff, materials.plane_c_kpa, materials.ring_c_kpa)

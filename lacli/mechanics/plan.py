@@ -10,7 +10,7 @@ from lacli.base.errors import AnatomyError
 from lacli.contracts import bundle as bundles
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.case import Case, Phase, Plan, as_order, motion_as_order
-from lacli.contracts.labels import EPI, REGIONS, RINGS
+from lacli.contracts.labels import EPI, REGIONS, RINGS, is_body
 from lacli.contracts.motion import Motion
 from lacli.contracts.scene import MMHG_KPA, Scene
 from lacli.motion.annulus import scene_motion
@@ -32,7 +32,7 @@ def make_plan(scene: Scene, bundle: Bundle, motion: Motion | None) -> Plan:
         raise AnatomyError(
             f"{where}: no boundary triangle has tag {RINGS['mv']}, the mitral ring; nothing would hold the atrium."
         )
-    if not np.isin(bundle.region, list(REGIONS.values())).any():
+    if not is_body(bundle.region).any():
         raise AnatomyError(f"{where}: no cell has a region of the body ({', '.join(REGIONS)}).")
     veins = scene.loads.vein_spring_kpa_per_um > 0
     if veins and not np.isin(bundle.tags, [RINGS["rspv"], RINGS["ripv"]]).any():

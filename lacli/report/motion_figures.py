@@ -19,8 +19,8 @@ import pandas as pd
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import LacliError
 from lacli.base.files import replacing
-from lacli.contracts.labels import BODY_REGIONS
-from lacli.report.style import REGION_COLOURS, paper
+from lacli.contracts.labels import BODY_REGIONS, REGION_COLOURS
+from lacli.report.style import paper
 
 TRANSIENTS, SURFACES, SLICES, ANIMATION = "transients.png", "surfaces.png", "slices.png", "motion.gif"
 _COMPONENTS = {

@@ -22,8 +22,8 @@ from lacli.base.arrays import FloatArray
 from lacli.base.errors import InputError
 from lacli.base.files import replacing
 from lacli.base.process import answer_of
-from lacli.contracts.labels import REGIONS, RINGS
-from lacli.report.style import PLANE_COLOUR, REGION_COLOURS, RING_COLOUR, paper
+from lacli.contracts.labels import PLANE_COLOUR, REGION_COLOURS, REGIONS, RING_COLOUR, RINGS, is_ring
+from lacli.report.style import paper
 
 TRANSIENTS, SHAPES = "transients.png", "shapes.png"
 SOURCES = ("transients.csv", "fields/ed.vtu", "fields/es.vtu")  # products of a run that the pictures are drawn from
@@ -275,7 +275,7 @@ def _region_colours(region: NDArray[Any]) -> NDArray[np.uint8]:
     colour = np.tile(to_rgb(PLANE_COLOUR), (len(region), 1))
     for name, number in REGIONS.items():
         colour[region == number] = to_rgb(REGION_COLOURS[name])
-    colour[(region >= 11) & (region <= 16)] = to_rgb(RING_COLOUR)
+    colour[is_ring(region)] = to_rgb(RING_COLOUR)
     return (255 * colour).astype(np.uint8)
 
 

@@ -1,21 +1,10 @@
-"""Colours and print settings that all figures share."""
+"""Print settings that all figures share. (Colours of regions: contracts.labels.)"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
-
-# Okabe and Ito's palette: told apart by colour-blind readers, and in this order by their grey value too
-REGION_COLOURS: dict[str, str] = {
-    "anterior": "#0072B2",
-    "posterior": "#D55E00",
-    "septum": "#009E73",
-    "lateral": "#CC79A7",
-    "roof": "#E69F00",
-}
-RING_COLOUR = "#8C8C8C"
-PLANE_COLOUR = "#E4E4E4"
 
 _SETTINGS: dict[Any, Any] = {
     "font.family": "DejaVu Sans",

@@ -14,7 +14,7 @@ import numpy as np
 from lacli.anatomy.coordinates.frame import unit
 from lacli.anatomy.openings.cut import Cut, cut_open
 from lacli.base.arrays import FloatArray
-from lacli.contracts.labels import PLANES, plane_of
+from lacli.contracts.labels import PLANES, is_plane, plane_of
 from lacli.geometry.surface import Surface
 from lacli.synthetic.atrium import GRID_MM, isosurface
 from lacli.synthetic.shape import Shape, draw
@@ -64,7 +64,7 @@ def make(seed: int, variant: str) -> tuple[FloatArray, np.ndarray, dict[str, Flo
         step = 0.5 * (shape.tubes["rspv"].start - shape.tubes["ripv"].start)
         whole = openings["rspv"]
         openings |= {"rspv": whole + step, "ripv": whole - step}
-    points, triangles = surface.points, surface.triangles[surface.label < 21]
+    points, triangles = surface.points, surface.triangles[~is_plane(surface.label)]
     if variant == "mirrored":
         flip = np.array([-1.0, 1.0, 1.0])
         points, triangles = points * flip, triangles[:, ::-1]

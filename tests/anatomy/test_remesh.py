@@ -10,9 +10,9 @@ from shapes import HEIGHT, RADIUS, RIM, cut_ball
 
 from lacli.anatomy.openings.cut import Cut, cut_open
 from lacli.anatomy.openings.rims import label_rings
+from lacli.anatomy.remeshing.projection import border_edges
+from lacli.anatomy.remeshing.remesh import remesh
 from lacli.base.errors import AnatomyError
-from lacli.geometry.projection import border_edges
-from lacli.geometry.remesh import remesh
 from lacli.geometry.surface import Surface, defects, unique_edges
 
 

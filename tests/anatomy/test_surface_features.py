@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from lacli.anatomy.surface_features import Endocardium, cavity_volume_ml, displacements_mm, surface_features
+from lacli.anatomy.surface_features import Endocardium, cavity_volume_ml
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.features import FEATURES, KEYS, at_time, parse
 from lacli.contracts.labels import REGIONS
@@ -92,14 +92,6 @@ def test_tangents_lead_from_septum_to_lateral_wall_and_from_back_to_front(bundle
         share = np.linalg.lstsq(basis.reshape(-1, 3, 2)[0], tangent.reshape(-1, 3)[0], rcond=None)[0]
         growth = share @ [s1[..., k].ravel()[0], s2[..., k].ravel()[0]]
         assert growth > 0
-
-
-def test_the_one_surface_gives_what_the_plain_functions_give(bundle: Bundle) -> None:
-    rng = np.random.default_rng(3)
-    points = bundle.points + rng.normal(0, 0.3, bundle.points.shape)
-    found = surface_features(bundle, bundle.points, points)
-    for name, value in displacements_mm(bundle, bundle.points, points).items():
-        assert found[name] == pytest.approx(value, rel=1e-12)
 
 
 @given(st.sampled_from(sorted(KEYS)), st.floats(0, 1))

@@ -83,18 +83,18 @@ def test_a_design_run_with_another_scene_never_gets_the_first_ones_rows(
     scene: Path, mechanics: Mechanics, tmp_path: Path, table: str
 ) -> None:
     out = tmp_path / table
-    call("design", scene, "-n", 6, *INPUTS, "--run", "--out", out)
+    call("design", scene, "-n", 6, *INPUTS, "--run", "--store", tmp_path / "store", "--out", out)
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.name.startswith("runs")}
-    call("design", scene, "-n", 6, *INPUTS, "--run", "--out", out)
+    call("design", scene, "-n", 6, *INPUTS, "--run", "--store", tmp_path / "store", "--out", out)
     assert mechanics.runs == 6, "the same is not run again"
     scene.write_text(scene.read_text().replace("roof = 1.7", "roof = 5.0"))
     with pytest.raises(UsageError, match=rf"{table.split('.')[0]}.* materials\.c_kpa\.roof was 1\.7, is 5\. .*--fresh"):
-        call("design", scene, "-n", 6, *INPUTS, "--run", "--out", out)
+        call("design", scene, "-n", 6, *INPUTS, "--run", "--store", tmp_path / "store", "--out", out)
     assert mechanics.runs == 6
     after = {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.name.startswith("runs")}
     assert after.keys() == before.keys() and all(after[name] == before[name] for name in before if ".parquet" not in name)
     for _ in range(2):  # the second time all is there
-        fresh = call("design", scene, "-n", 6, *INPUTS, "--run", "--out", out, "--fresh")
+        fresh = call("design", scene, "-n", 6, *INPUTS, "--run", "--store", tmp_path / "store", "--out", out, "--fresh")
         assert Path(fresh["table"]) == tmp_path / "runs_fresh_1" / table and mechanics.runs == 12
     read = pd.read_parquet if table.endswith("parquet") else pd.read_csv
     old, new = read(out), read(fresh["table"])

@@ -96,3 +96,7 @@ def test_the_citation_is_valid_and_of_this_version() -> None:
     assert f"version: {__version__}\n" in text
     assert all(f"\n{key}:" in f"\n{text}" for key in ("cff-version", "message", "title", "authors"))
     assert f"## [{__version__}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_the_picture_is_small() -> None:
+    assert 10_000 < (ROOT / "docs/result.png").stat().st_size < 200_000

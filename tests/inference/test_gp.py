@@ -10,7 +10,7 @@ from lacli.inference.box import make_box
 from lacli.inference.emulation import gp
 from lacli.inference.emulation.emulator import fit_emulator, fit_emulators
 from lacli.inference.emulation.emulator_set import EmulatorSet, load_emulators, save_emulators
-from lacli.inference.emulation.function_draws import draw_functions
+from lacli.inference.emulation.function_draws import _draw, draw_functions
 from lacli.inference.emulation.scales import OutputScale
 from lacli.inference.emulation.validation import cross_validate, score
 from lacli.inference.likelihood import Density
@@ -228,13 +228,15 @@ def test_log_likelihood_of_a_few_walkers_is_that_of_each_emulator(emulators):
 def test_function_draws_have_the_emulators_moments(emulators):
     e = emulators.emulators[2]  # linear output scale
     x = points(60)
-    draws = draw_functions(e, x, 3000, seed=1)
+    # at the fitted hyperparameters; draws of these, too, spread at least as far
+    draws = e.output_scale.backward(e.shift + e.scale * _draw(e.process, e.to_u(x), 3000, e.inflation, np.random.default_rng(1)))
     mean, variance = e.predict(x)
     variance -= e.inflation * e.scale**2 * e.process.nugget
     z = (draws.mean(1) - mean) / np.sqrt(variance / 3000)
     # random features approximate the prior: moments agree to their accuracy
     assert np.abs(z).mean() < 3.0
     assert np.median(draws.var(1) / variance) == pytest.approx(1.0, abs=0.15)
+    assert np.median(draw_functions(e, x, 1000, seed=1).var(1) / draws.var(1)) > 0.9
 
 
 def test_scores_by_hand():

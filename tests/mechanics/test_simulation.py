@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from shapes import cut_ball
 
-from lacli.anatomy.surface_features import cavity_volume_ml, displacements_mm
+from lacli.anatomy.surface_features import cavity_volume_ml, surface_features
 from lacli.anatomy.wall.shell import mesh_shell
 from lacli.base.errors import AnatomyError, InputError, SceneError, SimulationError, StorageError, UsageError
 from lacli.contracts import bundle as bundles
@@ -197,7 +197,7 @@ def test_what_the_scene_needs_and_the_bundle_lacks_is_named(folder: Path, ball: 
 
 def test_features_of_known_motions(ball: Bundle) -> None:
     shift = np.array([3.0, 0.0, 4.0])
-    moved = displacements_mm(ball, ball.points, ball.points + shift)
+    moved = surface_features(ball, ball.points, ball.points + shift)
     assert moved["d_global_mm"] == pytest.approx(5.0, rel=1e-12)  # |(3, 0, 4)|
     scaled = ball.points * 1.1
     assert cavity_volume_ml(ball, scaled) == pytest.approx(1.331 * cavity_volume_ml(ball, ball.points), rel=1e-12)  # 1.1^3

@@ -13,7 +13,7 @@ from lacli.anatomy.coordinates import fibres, regions, uac
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import AnatomyError
 from lacli.contracts.bundle import Bundle
-from lacli.contracts.labels import ENDO, EPI, OPENINGS, PLANES, REGIONS, RINGS
+from lacli.contracts.labels import ENDO, EPI, OPENINGS, PLANES, REGIONS, RINGS, is_body, is_plane, is_ring, is_wall
 from lacli.geometry import curves as paths
 from lacli.geometry import laplace, subdivision
 from lacli.geometry.tetrahedra import TET10_EDGES
@@ -129,7 +129,7 @@ def _faces(bundle: Bundle, side: int) -> tuple[IntArray, NDArray[np.str_]]:
     if side == ENDO:
         chosen = np.flatnonzero(bundle.tags == ENDO)
     else:
-        chosen = np.flatnonzero((bundle.tags == EPI) | ((bundle.tags >= 11) & (bundle.tags <= 16)))
+        chosen = np.flatnonzero((bundle.tags == EPI) | is_ring(bundle.tags))
     label = cell_label(bundle, bundle.triangles[chosen, :3])
     names = {RINGS[name]: name for name in OPENINGS if name != "mv"}
     return chosen, np.array([names.get(int(v), "") for v in label])
@@ -209,8 +209,8 @@ def _fine_regions(bundle: Bundle, laid: Laid, lines: regions.Lines) -> tuple[Int
     points, triangles = laid.layer.points, laid.layer.triangles
     label = cell_label(bundle, bundle.triangles[laid.layer.source, :3])
     area = 0.5 * np.linalg.norm(area_normals(points[triangles]), axis=1)
-    region, islands = regions.without_islands(triangles, regions.of_triangles(laid.uac, triangles, lines), area, label < 10)
-    return np.where(label < 10, region, label), area, islands
+    region, islands = regions.without_islands(triangles, regions.of_triangles(laid.uac, triangles, lines), area, is_body(label))
+    return np.where(is_body(label), region, label), area, islands
 
 
 def _cell_regions(bundle: Bundle, inner: Layer, region: IntArray, area: FloatArray, islands: int) -> tuple[IntArray, int]:
@@ -219,9 +219,9 @@ def _cell_regions(bundle: Bundle, inner: Layer, region: IntArray, area: FloatArr
     faces, face = np.unique(inner.source, return_inverse=True)
     corners = bundle.triangles[faces, :3]
     behind = cell_behind(bundle, corners)
-    body = bundle.region[behind] < 10
+    body = is_body(bundle.region[behind])
     under = body[face]
-    cells = bundle.region < 10
+    cells = is_body(bundle.region)
     out = bundle.region.copy()
     out[cells] = region[under][_feet(bundle, cells, points[triangles[under]].mean(axis=1))]
     # features are means over the faces of the cells at the endocardium: these take what most of their faces' area is
@@ -288,7 +288,7 @@ def _fill_points(bundle: Bundle, field: FloatArray) -> FloatArray:
 def opening_points(bundle: Bundle) -> dict[str, IntArray]:
     """Corner point ids where each opening's wall meets its plane, through the whole thickness."""
     found = {}
-    wall = np.unique(bundle.tets[bundle.region < 20, :4])
+    wall = np.unique(bundle.tets[is_wall(bundle.region), :4])
     for name in OPENINGS:
         plane = bundle.tets[bundle.region == PLANES[name], :4]
         if len(plane):
@@ -299,7 +299,7 @@ def opening_points(bundle: Bundle) -> dict[str, IntArray]:
 def _fibres(bundle: Bundle, on: Mapping[int, Laid], rule: str) -> FloatArray:
     assert bundle.transmural is not None
     corner = bundle.tets[:, :4]
-    endo = bundle.triangles[(bundle.tags == ENDO) | (bundle.tags >= 21), :3][:, ::-1]
+    endo = bundle.triangles[(bundle.tags == ENDO) | is_plane(bundle.tags), :3][:, ::-1]
     across = fibres.endocardial_normals(bundle.points, corner, endo)
     if rule == "uac":
         depth = bundle.transmural[corner].mean(axis=1)
@@ -314,7 +314,7 @@ def _fibres(bundle: Bundle, on: Mapping[int, Laid], rule: str) -> FloatArray:
         return np.where(size > 1e-6, fibre / np.maximum(size, 1e-12), np.cross(across, [[0.6, 0.0, 0.8]]))
     if rule != "laplace-dirichlet":
         raise AnatomyError(f"unknown fibre rule '{rule}'; the known ones are {', '.join(RULES)}.")
-    wall = bundle.region < 20
+    wall = is_wall(bundle.region)
     fields = fibres.solve_fields(bundle.points, corner[wall], fibres.boundary_sets(opening_points(bundle)))
     filled = {name: _fill_points(replace(bundle, tets=bundle.tets), field) for name, field in fields.items()}
     return fibres.laplace_dirichlet(bundle.points, corner, filled, across).fibre

@@ -17,7 +17,7 @@ from lacli.base.arrays import FloatArray
 from lacli.base.errors import AnatomyError, InputError, UsageError
 from lacli.base.quiet import quiet, reason
 from lacli.contracts.bundle import Bundle
-from lacli.contracts.labels import ENDO, EPI, OTHER, PLANES, REGIONS, RINGS
+from lacli.contracts.labels import ENDO, EPI, OTHER, PLANES, REGIONS, RINGS, is_body
 
 # meshio writes these without a tetrahedron, or as pictures
 _NO_CELLS = frozenset([".stl", ".ply", ".obj", ".off", ".svg", ".tikz", ".wkt", ".post", ".gz", ".hmf"])
@@ -159,7 +159,7 @@ def carry_fibres(bundle: Bundle, centre: FloatArray, fibre: FloatArray, reach_mm
     """
     query = cKDTree(centre).query(bundle.points[bundle.tets[:, :4]].mean(axis=1))
     distance, nearest = (np.asarray(values) for values in query)
-    wall = bundle.region < 10
+    wall = is_body(bundle.region)
     if np.median(distance[wall]) > reach_mm:
         raise AnatomyError(
             f"the fibres' mesh lies {np.median(distance[wall]):.1f} mm away from the wall (median); "

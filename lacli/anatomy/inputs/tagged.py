@@ -16,7 +16,7 @@ from lacli.anatomy.openings.caps import Plate, extrude_plate, rim_loops, triangu
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import AnatomyError
 from lacli.contracts.bundle import Bundle
-from lacli.contracts.labels import ENDO, EPI, OPENINGS, OTHER, PLANES, RINGS
+from lacli.contracts.labels import ENDO, EPI, OPENINGS, OTHER, PLANES, RINGS, is_plane, is_ring
 from lacli.geometry import laplace
 from lacli.geometry.surface import Surface, check, compact, nearest
 from lacli.geometry.tetrahedra import boundary_faces, elevate, row_keys, volumes
@@ -186,7 +186,7 @@ def _as_is(mesh: TaggedMesh, order: int, thickness: float, ring_width: float, wh
     region[body] = sectors(frame, points[tets[body]].mean(axis=1))
     triangles, owner = boundary_faces(tets)
     size = len(points)
-    tags = np.where(region[owner] >= 21, OTHER, np.where(region[owner] >= 11, region[owner], EPI))
+    tags = np.where(is_plane(region[owner]), OTHER, np.where(is_ring(region[owner]), region[owner], EPI))
     keys = row_keys(triangles, size)
     tags[np.isin(keys, row_keys(endo, size))] = ENDO
     for cap, label in caps:
@@ -209,8 +209,8 @@ def finish(
 
     assert isinstance(frame, AtrialFrame)
     grad = laplace.gradient(points, tets)
-    inside = np.unique(triangles[(tags == ENDO) | (tags >= 21)])
-    far = np.setdiff1d(np.unique(triangles[(tags == EPI) | (tags == OTHER) | ((tags >= 11) & (tags <= 16))]), inside)
+    inside = np.unique(triangles[(tags == ENDO) | is_plane(tags)])
+    far = np.setdiff1d(np.unique(triangles[(tags == EPI) | (tags == OTHER) | is_ring(tags)]), inside)
     transmural = laplace.solve(laplace.stiffness(grad, len(points)), {0.0: inside, 1.0: far})
     depth = grad.of(transmural)
     normals = depth / np.maximum(np.linalg.norm(depth, axis=1, keepdims=True), 1e-12)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from lacli.anatomy.remeshing.projection import border_edges
 from lacli.base.arrays import FloatArray, IntArray
+from lacli.contracts.labels import is_plane, is_ring, ring_beside
 from lacli.geometry import isolines as isoline
-from lacli.geometry.projection import border_edges
 from lacli.geometry.surface import WALL, Surface, nearest
 
 RING_WIDTH_MM = 2.5
@@ -14,7 +15,7 @@ RING_WIDTH_MM = 2.5
 
 def rim_points(surface: Surface) -> dict[int, IntArray]:
     """Plane label -> ids of the points on its rim."""
-    planes = np.where(surface.label >= 21, surface.label, WALL)
+    planes = np.where(is_plane(surface.label), surface.label, WALL)
     edges = border_edges(surface.triangles, planes)
     on_border = np.unique(edges)
     return {
@@ -30,7 +31,7 @@ def label_rings(surface: Surface, width_mm: float = RING_WIDTH_MM) -> Surface:
     returned as it is.
     """
     rims = rim_points(surface)
-    if not rims or np.any((surface.label >= 11) & (surface.label <= 16)):
+    if not rims or np.any(is_ring(surface.label)):
         return surface
     near = {value: _distance(surface, ids) for value, ids in rims.items()}
     value = np.minimum.reduce(list(near.values())) - width_mm
@@ -46,12 +47,12 @@ def label_rings(surface: Surface, width_mm: float = RING_WIDTH_MM) -> Surface:
     if inside.any():
         closest = np.argmin([nearest(points[ids], middle[inside])[0] for ids in rims.values()], axis=0)
         label = label.copy()
-        label[inside] = names[closest] - 10
+        label[inside] = ring_beside(names[closest])
     return Surface(points, triangles, label)
 
 
 def _distance(surface: Surface, ids: IntArray) -> FloatArray:
-    planes = np.where(surface.label >= 21, surface.label, WALL)
+    planes = np.where(is_plane(surface.label), surface.label, WALL)
     edges = border_edges(surface.triangles, planes)
     mine = edges[np.isin(edges, ids).all(axis=1)]
     a, b = surface.points[mine[:, 0]], surface.points[mine[:, 1]]

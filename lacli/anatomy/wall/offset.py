@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from lacli.anatomy.coordinates.frame import unit
+from lacli.anatomy.remeshing.projection import Reference, border_edges, side_of
 from lacli.anatomy.wall.polish import polish
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.geometry.prisms import shorter_diagonals, split_prisms
-from lacli.geometry.projection import Reference, border_edges, side_of
 from lacli.geometry.surface import Surface, unique_edges
 from lacli.geometry.tetrahedra import scaled_jacobian
 

@@ -13,15 +13,15 @@ from scipy.spatial import cKDTree
 
 from lacli.anatomy.coordinates.frame import AtrialFrame, frame_from_openings, height, sectors, sweep, two_layer_fibres, unit
 from lacli.anatomy.openings.rims import RING_WIDTH_MM, label_rings
+from lacli.anatomy.remeshing.projection import Reference
+from lacli.anatomy.remeshing.remesh import keep_volume, remesh_on
 from lacli.anatomy.wall.offset import Offset, offset_surface
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import AnatomyError
 from lacli.contracts.bundle import Bundle
-from lacli.contracts.labels import ENDO, EPI, OPENINGS, OTHER, PLANES, REGIONS
+from lacli.contracts.labels import ENDO, EPI, OPENINGS, OTHER, PLANES, REGIONS, is_plane, is_ring
 from lacli.geometry.prisms import split_prisms
-from lacli.geometry.projection import Reference
 from lacli.geometry.quadrature import enclosed_volume_ml
-from lacli.geometry.remesh import keep_volume, remesh_on
 from lacli.geometry.surface import Surface, check, unique_edges
 from lacli.geometry.tetrahedra import TET10_EDGES, boundary_faces, curved_jacobian, edges_of, scaled_jacobian
 
@@ -103,7 +103,9 @@ def _assemble(surface: Surface, edges: IntArray, off: Offset, layers: int, order
     triangles, owner = boundary_faces(tets)
     inner = (triangles < n).all(axis=1)
     side = label[owner]
-    tags = np.where(inner, np.where(side >= 21, side, ENDO), np.where(side >= 21, OTHER, np.where(side >= 11, side, EPI)))
+    tags = np.where(
+        inner, np.where(is_plane(side), side, ENDO), np.where(is_plane(side), OTHER, np.where(is_ring(side), side, EPI))
+    )
     if order == 2:
         points, tets, triangles, straightened = _curve(points, tets, triangles, surface, edges, off, layers)
         middle = np.zeros(len(points))
@@ -170,7 +172,7 @@ def _describe(
     """Regions, coordinates and fibres by the simple rules of ``frame``, where the openings say where things are."""
     present = {name for name in OPENINGS if np.any(surface.label == PLANES[name])}
     region = np.where(label == 0, REGIONS["anterior"], label)
-    cavity = triangles[(tags == ENDO) | (tags >= 21)]
+    cavity = triangles[(tags == ENDO) | is_plane(tags)]
     info = {"cavity_volume_ml": -enclosed_volume_ml(cavity, points), "shell": report.__dict__}
     if not {"mv", "rspv", "ripv", "lspv", "lipv"} <= present:
         return Bundle(points, tets, region, triangles, tags, transmural=transmural, info=info)

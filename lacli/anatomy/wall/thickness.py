@@ -12,7 +12,7 @@ from lacli.anatomy.coordinates.fibres import recovered
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import AnatomyError
 from lacli.contracts.bundle import Bundle
-from lacli.contracts.labels import ENDO, EPI, REGIONS
+from lacli.contracts.labels import ENDO, EPI, REGIONS, is_ring, is_wall
 from lacli.geometry import laplace
 from lacli.geometry.subdivision import straight
 
@@ -34,10 +34,10 @@ class Thickness:
 
 def of_bundle(bundle: Bundle) -> Thickness:
     """Thickness of the wall (rings included, planes not), regional means by endocardial area."""
-    wall = bundle.region < 20
+    wall = is_wall(bundle.region)
     tets = bundle.tets[wall, :4]
     endo = bundle.triangles[bundle.tags == ENDO]
-    outside = (bundle.tags == EPI) | ((bundle.tags >= 11) & (bundle.tags <= 16))
+    outside = (bundle.tags == EPI) | is_ring(bundle.tags)
     epi = bundle.triangles[outside]
     inner, outer = np.unique(endo[:, :3]), np.unique(epi[:, :3])
     eik = eikonal(bundle.points, inner, straight(epi))

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import coo_matrix
 
+from lacli.anatomy.remeshing.projection import Reference
+from lacli.anatomy.remeshing.workmesh import CORNER, INNER, Asked, WorkMesh, project, turned
 from lacli.base.arrays import FloatArray, IntArray
-from lacli.geometry.projection import Reference
 from lacli.geometry.triangles import shape_quality
-from lacli.geometry.workmesh import CORNER, INNER, Asked, WorkMesh, project, turned
 
 
 def collapse(mesh: WorkMesh, reference: Reference, asked: Asked) -> None:

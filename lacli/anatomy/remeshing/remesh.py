@@ -11,13 +11,14 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from lacli.anatomy.remeshing.collapse import collapse
+from lacli.anatomy.remeshing.projection import Reference, border_edges
+from lacli.anatomy.remeshing.workmesh import BORDER, CORNER, Asked, WorkMesh, project, turned
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import AnatomyError
-from lacli.geometry.collapse import collapse
-from lacli.geometry.projection import Reference, border_edges
+from lacli.contracts.labels import is_plane
 from lacli.geometry.surface import Surface, check, compact
 from lacli.geometry.triangles import area_normals, shape_quality, split_at
-from lacli.geometry.workmesh import BORDER, CORNER, Asked, WorkMesh, project, turned
 
 MIN_EDGES_PER_RIM = 10
 
@@ -63,7 +64,7 @@ def keep_volume(surface: Surface, volume_ml: float) -> Surface:
     moving = np.ones(n)
     moving[border_edges(surface.triangles, surface.label)] = 0.0
     flat = np.zeros(n, dtype=bool)
-    flat[surface.triangles[surface.label >= 21]] = True
+    flat[surface.triangles[is_plane(surface.label)]] = True
     moving[flat] = 0.0
     points = surface.points
     for _ in range(4):
@@ -82,7 +83,7 @@ def keep_volume(surface: Surface, volume_ml: float) -> Surface:
 
 def _size_field(surface: Surface, size: float) -> Asked:
     """Asked edge length at points: ``size``, less near rims too short for it."""
-    planes = border_edges(surface.triangles, np.where(surface.label >= 21, surface.label, 0))
+    planes = border_edges(surface.triangles, np.where(is_plane(surface.label), surface.label, 0))
     if len(planes) == 0:
         return lambda points: np.full(len(points), size)
     n = len(surface.points)

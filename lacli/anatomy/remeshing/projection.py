@@ -10,12 +10,13 @@ from scipy.sparse import coo_matrix, diags
 from scipy.spatial import cKDTree
 
 from lacli.base.arrays import FloatArray, IntArray
+from lacli.contracts.labels import is_ring
 from lacli.geometry.surface import Surface, unique_edges
 
 
 def side_of(label: IntArray) -> IntArray:
     """Labels with the rims' strips counted to the wall: what is smooth together."""
-    return np.where((label >= 11) & (label <= 16), 0, label)
+    return np.where(is_ring(label), 0, label)
 
 
 def border_edges(triangles: IntArray, label: IntArray) -> IntArray:

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from lacli.anatomy.remeshing.projection import Reference
 from lacli.base.arrays import FloatArray, IntArray
-from lacli.geometry.projection import Reference
+from lacli.contracts.labels import is_plane
 from lacli.geometry.surface import unique_edges
 from lacli.geometry.triangles import area_normals
 
@@ -72,7 +73,7 @@ def turned(mesh: WorkMesh, position: FloatArray, which: IntArray) -> np.ndarray:
     triangles, whose own normals mean nothing, have no say in it.
     """
     vector = area_normals(mesh.points[mesh.triangles])
-    plane = mesh.label >= 21
+    plane = is_plane(mesh.label)
     n = len(mesh.points)
     around = np.zeros((2 * n, 3))
     slot = mesh.triangles + n * plane[:, None]
