@@ -78,13 +78,25 @@ def test_a_mirror_image_is_never_named_with_confidence_as_if_it_were_none() -> N
     assert (right and found.best.mirrored) or found.confidence < naming.LEAST_CONFIDENCE
 
 
-# not the LSPV: the appendage beside it passes for it, an atrium without appendage having four small rims too; a note says so
-@pytest.mark.parametrize("gone", ["rspv", "ripv", "lipv"])
-def test_a_vein_that_is_not_there_is_said_or_doubted(gone: str) -> None:
-    parts = atrium((gone,))
-    for axes in (None, LPS):
-        found = naming.assign(list(parts.values()), axes)
+@pytest.mark.parametrize("gone", ["rspv", "ripv", "lspv", "lipv"])
+@pytest.mark.parametrize("appendage", [True, False])
+@pytest.mark.parametrize("flip", [1.0, -1.0])
+def test_a_vein_that_is_not_there_is_said_or_doubted(gone: str, appendage: bool, flip: float) -> None:
+    parts = atrium((gone,) if appendage else (gone, "appendage"))
+    for axes in (None, LPS) if flip > 0 else (None,):
+        found = naming.assign([moved(c, np.diag([flip, 1.0, 1.0]), 1.0) for c in parts.values()], axes)
         assert found is None or found.best.missing or found.confidence < naming.LEAST_CONFIDENCE
+
+
+def test_an_lspv_that_the_file_names_is_not_doubted_for_an_appendage() -> None:
+    from dataclasses import replace
+
+    parts = atrium(("lspv",))
+    order = ["lspv" if n == "appendage" else n for n in parts]
+    found = naming.assign(
+        [replace(c, said="lspv" if n == "lspv" else "") for n, c in zip(order, parts.values(), strict=True)], None
+    )
+    assert found is not None and names(found, order)["lspv"] == "lspv" and found.confidence > naming.LEAST_CONFIDENCE
 
 
 def test_the_middle_vein_is_the_one_without_a_name() -> None:

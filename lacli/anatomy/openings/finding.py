@@ -100,8 +100,8 @@ def find(
     openings |= _further(everything, branch_of, named, openings, cast, ring_mm, notes)
     if "appendage" not in openings:
         notes.append(
-            "no appendage was found; its ring and plane are left out. If the file has one, and lacks a vein, the appendage "
-            "may have been taken for that vein: compare the names with the surface"
+            "no appendage was found; its ring and plane are left out. If the file has an open one and lacks the LSPV, the LSPV "
+            f"at {place(everything[named.best.names['lspv']].centre)} is that appendage: compare the names with the surface"
         )
     ordered = sorted(openings, key=lambda n: (OPENINGS.index(n) if n in OPENINGS else 99, n))
     landmarks = Landmarks({n: openings[n] for n in ordered}, {}, tuple(notes))
@@ -279,7 +279,7 @@ def doubts(everything: Sequence[Candidate], named: naming.Naming) -> str:
             parts.append(f"{name.upper()} at {there[0]} or {there[1]}")
     return (
         f"the names of the openings are not certain (confidence {named.confidence:.2f}, {naming.LEAST_CONFIDENCE:g} is asked): "
-        f"{', '.join(parts) or 'a common trunk or two veins'}. Look there in the surface, give the true ones in landmarks.toml "
+        f"{', '.join(parts) or 'a common trunk or two veins'}. Look at these places, give the true ones in landmarks.toml "
         "(--landmarks), or take the first reading with --accept-low-confidence."
     )
 

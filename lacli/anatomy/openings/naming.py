@@ -41,6 +41,7 @@ LONE_SIZE = (0.1, 0.2)  # ln(diameter of its mate / mean of the other side's vei
 TRUNK = 2.0  # one atrium in five to ten has one
 TRUNK_ELONGATION = (0.12, 0.08)  # ln(longest diameter / that of its area's circle); single veins have up to 0.56
 TRUNK_SIZE = (0.35, 0.15)  # ln(diameter / mean of the other side's veins): of the area of two veins, ln 1.41
+IN_ITS_PLACE = 0.8  # confidence where an open appendage may stand in for a missing LSPV; below LEAST_CONFIDENCE
 AXES = (1.0, 0.3)  # cosine of found with known axes
 SAID = 15.0
 
@@ -95,7 +96,23 @@ def assign(candidates: Sequence[Candidate], axes: Axes | None) -> Naming | None:
     best = readings[0]
     other = next((r for r in readings[1:] if (r.names, r.trunk) != (best.names, best.trunk)), None)
     gap = np.inf if other is None else other.cost - best.cost
-    return Naming(best, other, float(1.0 / (1.0 + np.exp(-min(gap, 40.0)))))
+    found = Naming(best, other, float(1.0 / (1.0 + np.exp(-min(gap, 40.0)))))
+    if _may_be_appendage(candidates, best):
+        names = {n: i for n, i in best.names.items() if n != "lspv"} | {"appendage": best.names["lspv"]}
+        return Naming(best, replace(best, names=names, missing="lspv"), min(found.confidence, IN_ITS_PLACE))
+    return found
+
+
+def _may_be_appendage(candidates: Sequence[Candidate], best: Reading) -> bool:
+    """Whether what is named LSPV, no appendage beside it, leans forward as an appendage does where that vein is missing.
+
+    The two sides' superior directions then differ by more than TWIST's plain range. The ranges of veins and appendages overlap:
+    an appendage that leans less is not seen here.
+    """
+    if best.missing or best.trunk is not None or "appendage" in best.names or candidates[best.names["lspv"]].said:
+        return False
+    rs, ri, ls, li = (candidates[best.names[n]].centre for n in VEINS)
+    return bool(np.arccos(np.clip(_dot(_unit(rs - ri), _unit(ls - li)), -1.0, 1.0)) > TWIST[0])
 
 
 def _whole(candidates: Sequence[Candidate], chosen: list[int], axes: Axes | None) -> list[Reading]:
