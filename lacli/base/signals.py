@@ -89,13 +89,30 @@ def _on_signal(number: int, frame: FrameType | None) -> None:
         _State.received = number
     if _State.settled:
         _leave(_State.received)
-    _State.raised = True
-    raise Stopped(_State.received)
+    _raise(frame)
 
 
 def _on_alarm(number: int, frame: FrameType | None) -> None:
     if _State.received is not None and not _State.settled:
-        raise Stopped(_State.received)
+        _raise(frame)
+
+
+def _raise(frame: FrameType | None) -> None:
+    """Raise Stopped, but not amid an import: a compiled module that is left half set up crashes without a word."""
+    assert _State.received is not None
+    if _importing(frame):
+        signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+        return
+    _State.raised = True
+    raise Stopped(_State.received)
+
+
+def _importing(frame: FrameType | None) -> bool:
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False
 
 
 def _unraisable(lost: Any) -> None:

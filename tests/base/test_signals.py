@@ -83,6 +83,17 @@ def test_one_message_and_128_plus_n(where: str, number: signal.Signals) -> None:
     assert seconds < 4
 
 
+@pytest.mark.parametrize("number", NUMBERS)
+def test_an_import_is_not_cut_in_two(number: signal.Signals, tmp_path: Path) -> None:
+    """A compiled module that is left half set up crashes the process: what is being imported is imported whole first."""
+    (tmp_path / "slow.py").write_text(
+        "import sys, time\nprint('ready', flush=True)\ntime.sleep(0.5)\nsys.stderr.write('whole\\n')\n"
+    )
+    code, said, _ = shot(f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import slow; import time; time.sleep(60)", number)
+    assert code == 128 + number
+    assert said.count("whole") == 1 and said.count("What was finished is kept") == 1
+
+
 def test_what_is_ignored_stays_ignored() -> None:
     command = ["nohup", *program("import time; print('ready', flush=True); time.sleep(1)")]
     with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as lacli:
