@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from lacli.base.documents import read_json
 from lacli.base.errors import InputError, SimulationError, StorageError, UsageError
 from lacli.base.files import check_folder, write_json, write_text
 from lacli.contracts.case import Case
@@ -132,7 +132,7 @@ def rerun(folder: Path, on_progress: OnProgress | None = None) -> tuple[dict[str
     Nothing is kept of the second run. Raises as ``read_by_hand`` does, and SimulationError where the second run fails.
     """
     scene = _scene_of(folder, "manifest.json")
-    manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+    manifest = read_json(folder / "manifest.json")
     stored = StoredRun(manifest["key"], folder, manifest)
     check_products(stored, manifest.get("products", {}))
     before = stored.features()
@@ -149,8 +149,8 @@ def rerun(folder: Path, on_progress: OnProgress | None = None) -> tuple[dict[str
 def _scene_of(folder: Path, record: str) -> Scene:
     """The scene of a run's folder, which ``record`` gives a key, checked to be the same content still."""
     try:
-        key = json.loads((folder / record).read_text(encoding="utf-8"))["key"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        key = read_json(folder / record)["key"]
+    except (InputError, KeyError, TypeError) as error:
         raise InputError(f"{folder}: no run of lacli, {record} is missing or damaged ({error}).") from error
     scene = load_scene(folder / "scene.toml")
     if run_key(scene) != key:

@@ -24,7 +24,8 @@ from typing import Any
 
 import numpy as np
 
-from lacli.base.errors import StorageError
+from lacli.base.documents import read_json
+from lacli.base.errors import InputError, StorageError
 from lacli.base.files import room, storing, write_json, write_text
 from lacli.base.locks import lock
 from lacli.base.version import __version__
@@ -59,7 +60,7 @@ class StoredRun:
     def features(self) -> dict[str, float]:
         """Content of ``features.json``; empty where there is none."""
         file = self.folder / "features.json"
-        return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+        return read_json(file) if file.is_file() else {}
 
 
 @dataclass
@@ -169,7 +170,9 @@ def _examine(root: Path, key: str) -> tuple[StoredRun | None, str]:
     """The run of that key if it has ended; else None, and what is wrong with what is there ('' where nothing is)."""
     folder = root / key
     try:
-        manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+        manifest = read_json(folder / "manifest.json") if folder.is_dir() else None
+        if manifest is None:
+            return None, ""
         if manifest["key"] != key or manifest["status"] not in ("done", "failed") or of_the_machine(manifest["kind"]):
             return None, "it was ended by the machine" if of_the_machine(manifest["kind"]) else "manifest.json is not this run's"
         if manifest["status"] == "done":
@@ -177,9 +180,9 @@ def _examine(root: Path, key: str) -> tuple[StoredRun | None, str]:
                 if trouble := _trouble(folder, manifest, name, whole=size <= _ALWAYS_READ):
                     return None, trouble
         return StoredRun(key, folder, manifest), ""
-    except FileNotFoundError:
-        return None, "manifest.json is missing" if folder.is_dir() else ""
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except InputError as error:
+        return None, str(error).removeprefix(f"{folder}/").rstrip(".")
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         return None, f"manifest.json cannot be read ({error})"
 
 
