@@ -14,8 +14,9 @@ from lacli.base.errors import SolverMissingError
 from lacli.contracts.scene import Scene, build_scene
 from lacli.freefem.program import FreeFem, find
 
-# started in the background, Python finds Ctrl-C ignored and would pass that on to everything the tests start
+# started in the background, or by nohup, Python finds signals ignored and would pass that on to everything the tests start
 signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 # a busy machine is no reason to fail: the time of one example is not what is tested
 settings.register_profile("lacli", deadline=None)
