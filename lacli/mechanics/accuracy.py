@@ -40,7 +40,7 @@ def known_errors(scene: Scene) -> dict[str, float]:
     try:
         entry = _entries(file).get(measured(scene).digest, {"errors": {}})
         return {str(name): float(value) for name, value in entry["errors"].items()}
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+    except (InputError, ValueError, TypeError, KeyError, AttributeError) as error:
         raise InputError(f"{file}: cannot be read ({error}). Remove it, or run `lacli tradeoff` again.") from error
 
 

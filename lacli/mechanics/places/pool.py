@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from lacli.mechanics.simulation import RunResult
 
 FIRST_GUESS_MB = 1000.0  # of one simulation, until one has been seen
-_LAST_WORDS_S = 5.0
+_LAST_WORDS_S = 10.0
 _LOOK_EVERY_S = 1.0
 
 
