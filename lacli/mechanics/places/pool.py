@@ -145,6 +145,10 @@ def _obituary(worker: Worker) -> tuple[str, Any, Any]:
 def _dismiss(crew: list[Worker]) -> None:
     """End all workers; those at work get Ctrl-C, so that they end FreeFEM and clean up, and then little patience."""
     for worker in crew:
+        # it may have said so since it was last listened to: then it is at work, and has something to clean up
+        with contextlib.suppress(EOFError, OSError):
+            while not worker.ready and worker.pipe.poll():
+                worker.ready = worker.pipe.recv()[0] == "ready"
         if worker.index is not None and worker.ready:
             worker.process.send_signal(signal.SIGINT)
         elif not worker.ready:
