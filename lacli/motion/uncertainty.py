@@ -21,9 +21,9 @@ from lacli.motion.tracking import Pair
 
 SEED = 20260420
 # The applied motion is a tracked one, already as smooth as the engine makes it, so the engine finds it more easily than it found
-# the true one: one synthetic atrium at 1.0 mm gave this many times those of the known motion, two further cases 1.2 and 1.4.
+# the true one: true errors are this many times those of the known motion, a mean over few synthetic cases (benchmarks/track.py).
 SMOOTHER = 1.35
-# of images of 1.0 mm (two atria: 1.2, 1.4); at 1.5 mm it was 1.4 - 1.7 (three atria)
+# of images of 1.0 mm (one atrium, two motions: 1.2, 1.4); at 1.5 mm it was 1.4 - 1.7 (three atria), from which this follows
 SMOOTHER_PER_MM = 0.5
 _PRIOR_SAMPLES = 8.0
 
