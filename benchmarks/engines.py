@@ -12,7 +12,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from lacli.cli.console import print_json, print_table
+from lacli.cli.terminal.console import print_json, print_table
 from lacli.contracts import bundle as bundles
 from lacli.contracts.motion import save_motion
 from lacli.contracts.scene import build_scene

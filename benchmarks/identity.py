@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from lacli.calibration.simulator import SceneSimulator
-from lacli.cli.console import print_json, print_table
+from lacli.cli.terminal.console import print_json, print_table
 from lacli.contracts import identity
 from lacli.contracts.bundle import save
 from lacli.contracts.scene import Scene, build_scene

@@ -21,16 +21,16 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import qmc
 
-from lacli.contracts.table import RunTable, read_runs
+from lacli.contracts.tables.table import RunTable, read_runs
 from lacli.contracts.targets import Targets
 from lacli.inference.box import make_box
 from lacli.inference.design import design
 from lacli.inference.emulation.emulator import fit_emulator, fit_emulators
 from lacli.inference.emulation.emulator_set import EmulatorSet
 from lacli.inference.emulation.validation import cross_validate
-from lacli.inference.likelihood import Density, gaussian_log_likelihood
-from lacli.inference.matching import Region, Wave, sweep
-from lacli.inference.posterior import Settings, diagnostics, sample_posterior
+from lacli.inference.matching.matching import Region, Wave, sweep
+from lacli.inference.sampling.likelihood import Density, gaussian_log_likelihood
+from lacli.inference.sampling.posterior import Settings, diagnostics, sample_posterior
 from lacli.inference.sensitivity import emulator_indices, function_indices, saltelli_sample, sobol_indices
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "emulation_cardiac5"

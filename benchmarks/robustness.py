@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 from shots import Range, Shot, shots
 
-from lacli.cli.console import err, print_json, print_table
+from lacli.cli.terminal.console import err, print_json, print_table
 from lacli.contracts.bundle import Bundle, load, save
 from lacli.contracts.labels import ENDO, OTHER
 from lacli.contracts.motion import save_motion

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from lacli.cli.console import print_json, print_table
+from lacli.cli.terminal.console import print_json, print_table
 from lacli.contracts import bundle as bundles
 from lacli.contracts.case import Case
 from lacli.contracts.motion import save_motion

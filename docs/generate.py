@@ -121,7 +121,7 @@ def commands_page() -> str:
         MADE
         + "# Commands\n\nExit codes: 0 done, 1 failed, 2 wrong usage. With `--json`, standard output is one JSON document.\n\n"
     )
-    text += table(["command", "what"], [[f"[{name}](#{name})", plain(line)] for name, line in commands().items()])
+    text += table(["command", "what"], [[f"[{name}](#{name})", plain(one.text)] for name, one in commands().items()])
     for name in names:
         command = group.commands[name]
         text += f"\n## {name}\n\n"

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from lacli.api.progress import Progress
     from lacli.base.errors import Cancelled, LacliError
     from lacli.contracts.scene import Scene, load_scene
-    from lacli.contracts.table import RunTable, read_runs
+    from lacli.contracts.tables.table import RunTable, read_runs
     from lacli.contracts.targets import Targets, read_targets
     from lacli.inference.box import Box, make_box, read_box
     from lacli.inference.emulation.emulator_set import EmulatorSet, load_emulators, save_emulators
@@ -60,7 +60,7 @@ _HOMES = {
     "lacli.api.progress": ("Progress",),
     "lacli.base.errors": ("Cancelled", "LacliError"),
     "lacli.contracts.scene": ("Scene", "load_scene"),
-    "lacli.contracts.table": ("RunTable", "read_runs"),
+    "lacli.contracts.tables.table": ("RunTable", "read_runs"),
     "lacli.contracts.targets": ("Targets", "read_targets"),
     "lacli.inference.box": ("Box", "make_box", "read_box"),
     "lacli.inference.emulation.emulator_set": ("EmulatorSet", "load_emulators", "save_emulators"),

@@ -12,12 +12,12 @@ from lacli.base.errors import LacliError, UsageError
 if TYPE_CHECKING:
     from lacli.base.arrays import BoolArray, FloatArray
     from lacli.contracts.identity import Identity
-    from lacli.contracts.table import RunTable
+    from lacli.contracts.tables.table import RunTable
     from lacli.contracts.targets import Targets
     from lacli.inference.box import Box
     from lacli.inference.emulation.emulator_set import EmulatorSet
     from lacli.inference.emulation.validation import Scores
-    from lacli.inference.matching import Match, Region
+    from lacli.inference.matching.matching import Match, Region
     from lacli.inference.sensitivity import Sobol
 
 
@@ -117,7 +117,7 @@ def sensitivity(
     import numpy as np
 
     from lacli.inference.box import table_box
-    from lacli.inference.coverage import check_coverage
+    from lacli.inference.sampling.coverage import check_coverage
     from lacli.inference.sensitivity import emulator_indices
 
     check_count(count)
@@ -183,11 +183,11 @@ def match(
     import numpy as np
 
     from lacli.inference.box import table_box
-    from lacli.inference.coverage import check_coverage
-    from lacli.inference.matching import Region, Wave, next_runs, ruled_out_by
-    from lacli.inference.matching import match as measure
-    from lacli.inference.nroy import EmptyRegionError
-    from lacli.inference.verdict import judge
+    from lacli.inference.matching.matching import Region, Wave, next_runs, ruled_out_by
+    from lacli.inference.matching.matching import match as measure
+    from lacli.inference.matching.nroy import EmptyRegionError
+    from lacli.inference.sampling.coverage import check_coverage
+    from lacli.inference.sampling.verdict import judge
 
     targets = targets.select(emulators.outputs)
     if box is None:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from lacli.base.errors import StorageError
-from lacli.base.machine import FULL, full_words
+from lacli.base.processes.machine import FULL, full_words
 
 # what numpy raises on an .npz file that is cut short, overwritten in the middle, or no such file at all
 DAMAGED = (

@@ -21,18 +21,18 @@ from lacli.base.files import write_json
 from lacli.base.schema import Array, array_file
 from lacli.contracts.identity import Identity, conflict, flatten, identify, parse_identity, read_identity, write_identity
 from lacli.contracts.targets import Targets
-from lacli.inference import posterior as mcmc
 from lacli.inference.box import Box
 from lacli.inference.design import design
 from lacli.inference.emulation.emulator import fit_emulators
 from lacli.inference.emulation.emulator_set import EmulatorSet, emulators_identity, load_emulators, save_emulators
 from lacli.inference.emulation.feasibility import learn
-from lacli.inference.likelihood import Density
-from lacli.inference.matching import Match, Region, Wave, match, next_runs, ruled_out_by
-from lacli.inference.matching_file import load_match, save_match
-from lacli.inference.nroy import EmptyRegionError, RegionSample
+from lacli.inference.matching.file import load_match, save_match
+from lacli.inference.matching.matching import Match, Region, Wave, match, next_runs, ruled_out_by
+from lacli.inference.matching.nroy import EmptyRegionError, RegionSample
 from lacli.inference.runs import RunLog, Simulator
-from lacli.inference.verdict import Verdict, judge
+from lacli.inference.sampling import posterior as mcmc
+from lacli.inference.sampling.likelihood import Density
+from lacli.inference.sampling.verdict import Verdict, judge
 
 FILE = "calibration.json"  # the identity of the calibration in a folder
 # settings that say how far to go, not where: with others a calibration goes on

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
 from pathlib import Path
 
 # as a study goes; a command that is not named here follows these, by its name
@@ -14,15 +15,25 @@ _HEAD = "\ndef command("
 _QUOTES = '"""'
 
 
-@functools.cache
-def commands(folder: Path | None = None) -> dict[str, str]:
-    """Command -> its line of help, in the order of ``lacli --help``.
+@dataclass(frozen=True)
+class Command:
+    """A command's module and its line of help."""
 
-    A command is a file of this folder with a function ``command``; the first line of that function's docstring is the help.
+    module: str
+    text: str
+
+
+@functools.cache
+def commands(folder: Path | None = None) -> dict[str, Command]:
+    """Name -> command, in the order of ``lacli --help``.
+
+    A command is a file below this folder with a function ``command``; the first line of that function's docstring is the help.
     """
+    root = folder or Path(__file__).parent
     found = {}
-    for file in (folder or Path(__file__).parent).glob("*.py"):
+    for file in sorted(root.rglob("*.py")):
         _, head, rest = f"\n{file.read_text(encoding='utf-8')}".partition(_HEAD)
         if head:
-            found[file.stem] = rest.partition(_QUOTES)[2].partition(_QUOTES)[0].strip().partition("\n")[0]
+            module = ".".join(("lacli.cli", *file.relative_to(root).with_suffix("").parts))
+            found[file.stem] = Command(module, rest.partition(_QUOTES)[2].partition(_QUOTES)[0].strip().partition("\n")[0])
     return dict(sorted(found.items(), key=lambda item: (ORDER.index(item[0]) if item[0] in ORDER else len(ORDER), item[0])))

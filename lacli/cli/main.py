@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lacli.base import signals
+from lacli.base.processes import signals
 from lacli.cli.commands import commands
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def build(called: set[str]) -> typer.Typer:
     import typer
 
     from lacli import __version__
-    from lacli.cli.plain import application
+    from lacli.cli.terminal.plain import application
 
     def tell_version(value: bool) -> None:
         if value:
@@ -37,11 +37,11 @@ def build(called: set[str]) -> typer.Typer:
         """Find how stiff each region of a patient's left atrium is."""
 
     app = application(no_args_is_help=True, add_completion=True, callback=root)
-    for name, text in commands().items():
+    for name, one in commands().items():
         if name in called:
-            app.command(name=name, short_help=text)(importlib.import_module(f"lacli.cli.{name}").command)
+            app.command(name=name, short_help=one.text)(importlib.import_module(one.module).command)
         else:
-            app.command(name=name, short_help=text, help=text)(_unloaded)
+            app.command(name=name, short_help=one.text, help=one.text)(_unloaded)
     return app
 
 
@@ -64,7 +64,7 @@ def run() -> None:
 
 def _code_of_the_command() -> int:
     from lacli.base.errors import LacliError
-    from lacli.cli.console import fail
+    from lacli.cli.terminal.console import fail
 
     warnings.filterwarnings("ignore", category=FutureWarning)  # what libraries plan is for us to read
     # completion asks for options of any command, so it sees them all
@@ -84,7 +84,7 @@ def _code_of_the_command() -> int:
     except BrokenPipeError:
         return 141  # whoever read our output has enough of it
     except OSError as error:
-        from lacli.base.machine import FULL, full_words
+        from lacli.base.processes.machine import FULL, full_words
 
         if error.errno in FULL:
             fail(LacliError(full_words(error.filename or _full_place(), error.errno)))
@@ -119,8 +119,8 @@ def _full_place() -> str:
     """Where the disk is full, of the places that this call writes to; the system does not always say it."""
     import tempfile
 
-    from lacli.base.machine import full_place
-    from lacli.base.native import cache_folder
+    from lacli.base.processes.machine import full_place
+    from lacli.base.processes.native import cache_folder
 
     said = Path("/proc/self/fd/1").resolve()  # standard output may be a file
     words = [word.partition("=")[2] if word.startswith("--") else word for word in sys.argv[1:]]

@@ -20,10 +20,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from lacli.base import native as compiled
 from lacli.base.errors import MachineError, SolverMissingError
-from lacli.base.machine import disk_is_full, full_words, memory_limit
-from lacli.base.process import Ended, answer_of, supervise
+from lacli.base.processes import native as compiled
+from lacli.base.processes.machine import disk_is_full, full_words, memory_limit
+from lacli.base.processes.process import Ended, answer_of, supervise
 
 INSTALL = "sudo apt-get install -y freefem++ libfreefem++-dev libmumps-seq-dev libopenblas0-pthread g++"
 _logger = logging.getLogger(__name__)

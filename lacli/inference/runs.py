@@ -13,10 +13,10 @@ import pandas as pd
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import LacliError, TableError, UsageError
 from lacli.base.files import replacing
-from lacli.base.process import memory_mb
+from lacli.base.processes.process import memory_mb
 from lacli.contracts import failures
 from lacli.contracts.identity import Identity, beside, conflict, identify, read_identity, write_identity
-from lacli.contracts.table import ERROR_SUFFIX, STATUS, RunTable, combine, input_values, read_frame
+from lacli.contracts.tables.table import ERROR_SUFFIX, STATUS, RunTable, combine, input_values, read_frame
 
 KIND, ATTEMPTS, MESSAGE, MEMORY = "kind", "attempts", "message", "peak_memory_mb"
 

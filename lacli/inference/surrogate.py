@@ -8,7 +8,7 @@ import numpy as np
 
 from lacli.base.arrays import FloatArray
 from lacli.inference.emulation.polynomial import Polynomial, fit_polynomial
-from lacli.inference.likelihood import Density, gaussian_log_likelihood
+from lacli.inference.sampling.likelihood import Density, gaussian_log_likelihood
 
 _STEEP = 30.0
 

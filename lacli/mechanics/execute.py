@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lacli.base.machine import memory_mb
+from lacli.base.processes.machine import memory_mb
 from lacli.contracts.scene import Scene
 from lacli.mechanics.places.pool import FIRST_GUESS_MB, side_by_side
 

@@ -13,10 +13,10 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from lacli.base import native as compiled
 from lacli.base.errors import SolverMissingError
-from lacli.base.machine import free_bytes, memory_mb
-from lacli.base.process import answer_of
+from lacli.base.processes import native as compiled
+from lacli.base.processes.machine import free_bytes, memory_mb
+from lacli.base.processes.process import answer_of
 from lacli.base.resources import folder as resource_folder
 from lacli.base.version import __version__
 from lacli.freefem import program as ff

@@ -27,7 +27,7 @@ import numpy as np
 from lacli.base.documents import read_json
 from lacli.base.errors import InputError, StorageError
 from lacli.base.files import room, storing, write_json, write_text
-from lacli.base.locks import lock
+from lacli.base.processes.locks import lock
 from lacli.base.version import __version__
 from lacli.contracts.failures import of_the_machine
 from lacli.contracts.identity import file_digest, run_key

@@ -17,7 +17,7 @@ from typing import Any
 
 from lacli.anatomy.inputs.image import Image, read
 from lacli.base.errors import LacliError
-from lacli.base.process import supervise
+from lacli.base.processes.process import supervise
 from lacli.motion.field import Field, from_sitk, read_field, to_sitk, write_field
 
 TIMEOUT_S = 1800.0

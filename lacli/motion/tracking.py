@@ -16,7 +16,7 @@ from lacli.anatomy.inputs.image import Image
 from lacli.anatomy.surface_features import Endocardium
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import InputError, LacliError
-from lacli.base.process import while_wanted
+from lacli.base.processes.process import while_wanted
 from lacli.base.version import __version__
 from lacli.motion import frames as framing
 from lacli.motion.field import Field, read_field

@@ -11,7 +11,7 @@ import numpy as np
 from lacli.base.arrays import FloatArray
 from lacli.contracts.targets import Targets
 from lacli.inference.emulation.emulator_set import EmulatorSet
-from lacli.inference.matching import Region
+from lacli.inference.matching.matching import Region
 from lacli.report.inference_figures import INK, TARGET, label, save
 from lacli.report.style import paper
 

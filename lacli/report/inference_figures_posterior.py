@@ -11,7 +11,7 @@ import numpy as np
 
 from lacli.base.arrays import FloatArray
 from lacli.inference.box import Box
-from lacli.inference.posterior import Chain
+from lacli.inference.sampling.posterior import Chain
 from lacli.report.inference_figures import INK, SPREAD, TARGET, label, save
 from lacli.report.style import paper
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import InputError
 from lacli.base.files import replacing
-from lacli.base.process import answer_of
+from lacli.base.processes.process import answer_of
 from lacli.contracts.labels import PLANE_COLOUR, REGION_COLOURS, REGIONS, RING_COLOUR, RINGS, is_ring
 from lacli.report.style import paper
 

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from test_bundle import hollow_cube
+from shapes import hollow_cube
 
 import lacli
 from lacli.api import progress as api_progress
 from lacli.base import arrays
 from lacli.contracts.bundle import save
 from lacli.contracts.identity import Identity
-from lacli.contracts.table import combine
+from lacli.contracts.tables.table import combine
 from lacli.freefem.program import Progress as SolverProgress
 from lacli.mechanics import simulation
 from lacli.mechanics.store import open_run

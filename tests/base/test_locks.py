@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from lacli.base.errors import MachineError
-from lacli.base.locks import lock
-from lacli.base.process import while_wanted
+from lacli.base.processes.locks import lock
+from lacli.base.processes.process import while_wanted
 
 HOLD = """
 import sys, time, fcntl, errno
@@ -23,7 +23,7 @@ def none(*_):
     raise OSError(errno.ENOLCK, "No locks available")
 if sys.argv[2] == "soft":
     fcntl.flock = none
-from lacli.base.locks import lock
+from lacli.base.processes.locks import lock
 with lock(Path(sys.argv[1]), "which does the same"):
     print("held", flush=True)
     time.sleep(float(sys.argv[3]))

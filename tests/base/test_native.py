@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from lacli.base import native, notes
-from lacli.base.native import CompilerError, cache_folder, compile_with, kept
+from lacli.base import notes
+from lacli.base.processes import native
+from lacli.base.processes.native import CompilerError, cache_folder, compile_with, kept
 
 
 def make(content: bytes):  # type: ignore[no-untyped-def]
@@ -48,7 +49,7 @@ def test_another_part_is_another_file(tmp_path: Path) -> None:
 ASK = """
 import sys, time
 from pathlib import Path
-from lacli.base.native import kept
+from lacli.base.processes.native import kept
 def build(folder):
     with open(sys.argv[2], "a") as log:
         log.write("built ")

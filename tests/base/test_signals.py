@@ -18,7 +18,7 @@ NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 def program(body: str) -> list[str]:
     lines = "\n".join("    " + line for line in body.strip().splitlines())
-    text = f"from lacli.base import signals\nsignals.catch()\ntry:\n{lines}\nfinally:\n    signals.settle()\n"
+    text = f"from lacli.base.processes import signals\nsignals.catch()\ntry:\n{lines}\nfinally:\n    signals.settle()\n"
     return [sys.executable, "-c", text]
 
 
@@ -158,7 +158,7 @@ def alive(name: str) -> list[int]:
 FAMILY = """
 import os, sys
 from pathlib import Path
-from lacli.base.process import answer_of, supervise
+from lacli.base.processes.process import answer_of, supervise
 command = [sys.executable, "-c", "import subprocess; subprocess.run(['sleep', '{seconds}'])"]
 print('ready', flush=True)
 supervise(command, cwd=Path({folder!r}), env=os.environ, log=Path({folder!r}) / 'log', timeout_s=50, family={family})
@@ -192,7 +192,7 @@ def told(pid: int) -> str:
 
 
 def test_a_child_started_when_its_parent_is_gone_does_not_run(tmp_path: Path) -> None:
-    from lacli.base.process import mortal
+    from lacli.base.processes.process import mortal
 
     command = mortal(["touch", str(tmp_path / "ran")])
     command[command.index("alone") + 1] = "1"  # not its parent

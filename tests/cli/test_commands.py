@@ -16,19 +16,25 @@ from lacli.cli.commands import ORDER, commands
 def test_the_line_of_help_is_the_first_of_the_function_s_docstring() -> None:
     found = commands()
     assert {"doctor", "simulate", "calibrate"} <= set(found)
-    for name, text in found.items():
-        documented = importlib.import_module(f"lacli.cli.{name}").command.__doc__
-        assert text == documented.strip().splitlines()[0], name
-        assert text.endswith("."), f"{name}: the first line is a sentence"
+    for name, one in found.items():
+        documented = importlib.import_module(one.module).command.__doc__
+        assert one.text == documented.strip().splitlines()[0], name
+        assert one.text.endswith("."), f"{name}: the first line is a sentence"
 
 
 def test_a_new_command_is_a_new_file(tmp_path: Path) -> None:
-    (tmp_path / "volume.py").write_text(
+    (tmp_path / "anatomy").mkdir()
+    (tmp_path / "mechanics").mkdir()
+    (tmp_path / "anatomy" / "volume.py").write_text(
         'def command(\n    bundle: str,\n) -> None:\n    """Print the volume.\n\n    Example: lacli volume x\n    """\n'
     )
-    (tmp_path / "simulate.py").write_text('"""Scenes."""\n\n\ndef command() -> None:\n    """Run."""\n')
+    (tmp_path / "mechanics" / "simulate.py").write_text('"""Scenes."""\n\n\ndef command() -> None:\n    """Run."""\n')
     (tmp_path / "shared.py").write_text('def commands() -> None:\n    """No command."""\n')
-    assert list(commands(tmp_path).items()) == [("simulate", "Run."), ("volume", "Print the volume.")]
+    found = {name: (one.module, one.text) for name, one in commands(tmp_path).items()}
+    assert list(found.items()) == [
+        ("simulate", ("lacli.cli.mechanics.simulate", "Run.")),
+        ("volume", ("lacli.cli.anatomy.volume", "Print the volume.")),
+    ]
     assert "volume" not in ORDER
 
 
@@ -48,5 +54,5 @@ def test_help_shows_brackets_and_an_example(name: str) -> None:
 def test_the_list_of_commands_shows_their_lines() -> None:
     shown = CliRunner().invoke(main.build(set()), ["--help"], env={"COLUMNS": "300", "TERMINAL_WIDTH": "300"})
     letters = "".join(shown.stdout.replace("│", "").split())
-    for name, text in commands().items():
-        assert name + "".join(text.split()) in letters
+    for name, one in commands().items():
+        assert name + "".join(one.text.split()) in letters

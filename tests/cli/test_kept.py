@@ -18,7 +18,7 @@ from lacli.cli.main import build
 from lacli.contracts import identity
 from lacli.contracts.identity import run_key
 from lacli.contracts.scene import Scene, dump_scene
-from lacli.inference.nroy import EmptyRegionError
+from lacli.inference.matching.nroy import EmptyRegionError
 from lacli.mechanics.simulation import RunResult
 
 SceneOf = Callable[..., Scene]

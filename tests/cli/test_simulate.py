@@ -11,12 +11,12 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from test_bundle import hollow_cube
+from shapes import hollow_cube
 from typer.testing import CliRunner
 
 from lacli.base.files import write_json
-from lacli.cli.live import describe
 from lacli.cli.main import build
+from lacli.cli.terminal.live import describe
 from lacli.contracts.bundle import save
 from lacli.contracts.scene import Scene, build_scene
 from lacli.freefem.program import Progress

@@ -36,7 +36,7 @@ def test_a_command_is_one_file(copy: Path) -> None:
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     example = re.search(r"```python\n(.*?)```", text, re.DOTALL)
     assert example
-    (copy / "lacli/cli/volume.py").write_text(example[1])
+    (copy / "lacli/cli/anatomy/volume.py").write_text(example[1])
     assert "Print the volume of a bundle's cavity" in _python(copy, "-m", "lacli", "--help")
     _python(copy, "-m", "lacli", "synthesize", "atrium", "--cell-size-mm", "8", "--order", "1", "--volume-ml", "80")
     volume = json.loads(_python(copy, "-m", "lacli", "volume", "atrium", "--json"))["volume_ml"]

@@ -19,9 +19,9 @@ from lacli.base.errors import InputError, LacliError, UsageError
 from lacli.calibration.calibration import Settings, calibrate
 from lacli.calibration.synthetic_truth import targets_at, verify
 from lacli.contracts.targets import Targets
-from lacli.inference import posterior as mcmc
 from lacli.inference.box import make_box
 from lacli.inference.runs import Outcome, RunLog, runs_identity
+from lacli.inference.sampling import posterior as mcmc
 
 BOX = make_box(["a", "b", "c"], [0.2, 0.2, 0.0], [4.0, 4.0, 1.0])
 NAMES = ("v_ml", "d_one_mm", "d_two_mm")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lacli.base.errors import InputError
-from lacli.contracts.table import RunTable
+from lacli.contracts.tables.table import RunTable
 from lacli.contracts.targets import Targets
 from lacli.inference.box import make_box
 from lacli.inference.emulation import gp
@@ -13,8 +13,8 @@ from lacli.inference.emulation.emulator_set import EmulatorSet, load_emulators, 
 from lacli.inference.emulation.function_draws import _draw, draw_functions
 from lacli.inference.emulation.scales import OutputScale
 from lacli.inference.emulation.validation import cross_validate, score
-from lacli.inference.likelihood import Density
-from lacli.inference.matching import Region
+from lacli.inference.matching.matching import Region
+from lacli.inference.sampling.likelihood import Density
 
 
 def data(n=40, d=3, seed=0, noise=0.0):

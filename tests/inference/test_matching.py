@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from exact import ExactEmulators
 
-from lacli.contracts.table import RunTable
+from lacli.contracts.tables.table import RunTable
 from lacli.contracts.targets import Targets
 from lacli.inference.box import make_box
 from lacli.inference.design import design, farthest
 from lacli.inference.emulation.emulator import fit_emulators
 from lacli.inference.emulation.emulator_set import EmulatorSet
 from lacli.inference.emulation.feasibility import learn
-from lacli.inference.matching import Region, Wave, match, next_runs, ruled_out_by, sweep
+from lacli.inference.matching.matching import Region, Wave, match, next_runs, ruled_out_by, sweep
 
 BOX = make_box(["x0", "x1", "x2"], [-1, -1, -1], [1, 1, 1])
 

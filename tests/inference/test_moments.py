@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lacli.base import native as compiled
+from lacli.base.processes import native as compiled
 from lacli.inference.emulation import moments
 
 
@@ -105,7 +105,7 @@ def test_a_kept_library_that_does_not_load_is_made_again(tmp_path: Path, monkeyp
     source = tmp_path / "one.cpp"
     source.write_text('extern "C" int one() { return 1; }\n')
     # in other processes: what is loaded already is not looked at again
-    words = f"import pathlib; from lacli.base import native; print(native.library(pathlib.Path({str(source)!r})).one())"
+    words = f"import pathlib; from lacli.base.processes import native; print(native.library(pathlib.Path({str(source)!r})).one())"
     for _ in range(2):
         done = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, check=True)
         assert done.stdout == "1\n"

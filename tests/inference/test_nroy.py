@@ -5,9 +5,9 @@ import pytest
 from scipy import stats
 from scipy.special import gamma
 
-from lacli.inference import nroy
 from lacli.inference.box import make_box
-from lacli.inference.nroy import EmptyRegionError, sample_region
+from lacli.inference.matching import nroy
+from lacli.inference.matching.nroy import EmptyRegionError, sample_region
 
 D = 9
 BOX = make_box([f"x{i}" for i in range(D)], [-1] * D, [1] * D)

@@ -10,12 +10,12 @@ from scipy import stats
 
 from lacli.base.errors import InputError, UsageError
 from lacli.contracts.targets import Targets
-from lacli.inference import posterior as mcmc
-from lacli.inference.arviz_file import write_inference_data
 from lacli.inference.box import make_box
-from lacli.inference.likelihood import Density, gaussian_log_likelihood
-from lacli.inference.matching import Region, Wave
-from lacli.inference.mixture import fit_mixture
+from lacli.inference.matching.matching import Region, Wave
+from lacli.inference.sampling import posterior as mcmc
+from lacli.inference.sampling.arviz_file import write_inference_data
+from lacli.inference.sampling.likelihood import Density, gaussian_log_likelihood
+from lacli.inference.sampling.mixture import fit_mixture
 
 # an ESS of 10,000 makes the sd's own Monte Carlo error 1 / sqrt(20,000) = 0.7 %
 SETTINGS = mcmc.Settings(ess=10_000.0, seed=1)

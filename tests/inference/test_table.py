@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lacli.base.errors import TableError, UsageError
-from lacli.contracts.table import combine, fewest_runs, read_frame, read_runs
+from lacli.contracts.tables.table import combine, fewest_runs, read_frame, read_runs
 from lacli.contracts.targets import Targets, read_targets, write_targets
 from lacli.inference.box import CALIBRATION_INPUTS, make_box, published_box, read_box
 

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lacli.base.errors import TableError
-from lacli.contracts.table import combine
-from lacli.contracts.table_columns import DONE, FAILED, LABELS, UNFINISHED, run_states
+from lacli.contracts.tables.columns import DONE, FAILED, LABELS, UNFINISHED, run_states
+from lacli.contracts.tables.table import combine
 
 
 def frames(n=40):

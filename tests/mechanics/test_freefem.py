@@ -18,8 +18,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lacli.base import process
 from lacli.base.errors import MachineError, SolverMissingError
+from lacli.base.processes import process
 from lacli.freefem import program as ff
 from lacli.freefem.program import FreeFem, build_plugin, find, parse_progress, parse_stop, run
 

@@ -19,7 +19,7 @@ from lacli.cli.main import build
 from lacli.contracts.bundle import Bundle, save
 from lacli.contracts.motion import load_motion
 from lacli.contracts.targets import Targets, read_targets
-from lacli.inference.likelihood import gaussian_log_likelihood
+from lacli.inference.sampling.likelihood import gaussian_log_likelihood
 from lacli.motion import frames as framing
 from lacli.motion import given as given_motion
 from lacli.motion import uncertainty

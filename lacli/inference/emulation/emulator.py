@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lacli.base.arrays import BoolArray, FloatArray
 from lacli.base.threads import single_threaded
-from lacli.contracts.table import RunTable
+from lacli.contracts.tables.table import RunTable
 from lacli.inference.emulation import gp
 from lacli.inference.emulation.scales import OutputScale, Scaled, choose_scales, coordinates, may_be_logarithmic, scale
 

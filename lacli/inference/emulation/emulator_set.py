@@ -16,7 +16,7 @@ from lacli.base.files import replacing
 from lacli.base.schema import Array, array_file, unfit
 from lacli.base.threads import one_thread
 from lacli.contracts.identity import Identity, array_digest, identify
-from lacli.contracts.table import RunTable
+from lacli.contracts.tables.table import RunTable
 from lacli.inference.emulation import gp, moments
 from lacli.inference.emulation.emulator import Emulator
 from lacli.inference.emulation.scales import OutputScale

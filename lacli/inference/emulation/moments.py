@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg.blas import dtrmm
 
-from lacli.base import native as compiled
 from lacli.base import resources
 from lacli.base.arrays import FloatArray
+from lacli.base.processes import native as compiled
 
 _PAD = 8  # runs and parts are padded to a multiple of it
 _WORK_ROWS = 48

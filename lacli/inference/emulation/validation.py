@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from lacli.base.arrays import BoolArray, FloatArray
-from lacli.contracts.table import RunTable
+from lacli.contracts.tables.table import RunTable
 from lacli.inference.emulation.emulator import fit_emulator, folds
 from lacli.inference.emulation.scales import may_be_logarithmic
 

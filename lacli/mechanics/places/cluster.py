@@ -18,7 +18,7 @@ from uuid import uuid4
 
 from lacli.base.errors import LacliError, UsageError
 from lacli.base.notes import note, slow
-from lacli.base.process import while_wanted
+from lacli.base.processes.process import while_wanted
 from lacli.contracts.scene import Scene
 from lacli.mechanics.places.trials import Trials
 from lacli.mechanics.places.worker import done, reporter, run_scene_of_lacli

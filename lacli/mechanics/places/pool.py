@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lacli.base.errors import LacliError
-from lacli.base.machine import family_mb, memory_mb
 from lacli.base.notes import note
-from lacli.base.process import mortal
-from lacli.base.signals import held
+from lacli.base.processes.machine import family_mb, memory_mb
+from lacli.base.processes.process import mortal
+from lacli.base.processes.signals import held
 from lacli.contracts.scene import Scene
 from lacli.mechanics.places.trials import Trials
 

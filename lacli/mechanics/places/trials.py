@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lacli.base.errors import LacliError, StorageError
-from lacli.base.machine import memory_limit
 from lacli.base.notes import note
+from lacli.base.processes.machine import memory_limit
 from lacli.contracts.failures import MACHINE, MOST_ATTEMPTS
 from lacli.contracts.identity import run_key
 from lacli.contracts.scene import Scene

@@ -18,7 +18,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from lacli.base.errors import MachineError
-from lacli.base.signals import CAUGHT
+from lacli.base.processes.signals import CAUGHT
 from lacli.contracts.failures import of_the_machine
 from lacli.mechanics.places.trials import portable
 

@@ -1,0 +1,64 @@
+"""``lacli verify``: what the simulator computes beside what is known."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Annotated
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from lacli.cli.terminal.console import out, print_json, progress
+from lacli.verification.problems import Check, choose, verify
+
+
+def command(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(
+            help="Which: law, patch, pressure, spring, sphere, beam, ellipsoid, unload, prestrain. Default: all.", metavar="NAME"
+        ),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
+) -> None:
+    """Run the verification problems: computed, reference, error, tolerance.
+
+    Exit code 1 when a check fails. Errors are in mm for positions (beam, apices, unload, prestrain), relative otherwise.
+
+    Example: lacli verify beam ellipsoid
+    """
+    chosen = choose(names or [])
+    checks: list[Check] = []
+    with progress() as bar:
+        task = bar.add_task("verify", total=len(chosen))
+        for name in chosen:
+            bar.update(task, description=f"verify {name}")
+            checks += verify(name)
+            bar.advance(task)
+    if as_json:
+        print_json([asdict(check) for check in checks])
+    else:
+        _show(checks)
+    if not all(check.passed for check in checks):
+        raise typer.Exit(1)
+
+
+def _show(checks: list[Check]) -> None:
+    # a check to a line at 80 columns
+    table = Table(title="Verification", title_justify="left", header_style="bold", box=None, padding=(0, 1, 0, 0))
+    table.add_column("what", overflow="fold", max_width=34)
+    for column in ("computed", "reference", "error", "asked", "", "CPU s"):
+        table.add_column(column, justify="right", no_wrap=True)
+    before = ""
+    for check in checks:
+        if check.name != before:
+            unknowns = f" ({check.unknowns} unknowns)" if check.unknowns else ""
+            table.add_row(Text.assemble((check.name, "bold"), unknowns))
+            before = check.name
+        numbers = f"{check.computed:.6g}", f"{check.reference:.6g}", f"{check.error:.1e}", f"{check.tolerance:.0e}"
+        verdict = Text("ok", "green") if check.passed else Text("FAIL", "bold red")
+        table.add_row(f"  {check.quantity}", *numbers, verdict, f"{check.cpu_s:.1f}")
+    out.print(table)
+    failed = sum(not check.passed for check in checks)
+    out.print(f"{len(checks) - failed} of {len(checks)} checks passed." if failed else f"All {len(checks)} checks passed.")

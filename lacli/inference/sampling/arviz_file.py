@@ -1,0 +1,30 @@
+"""The posterior as a file that ArviZ reads (``arviz.from_netcdf``)."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+from lacli.base.files import replacing
+from lacli.inference.sampling.posterior import Chain
+
+
+def write_inference_data(path: Path, chain: Chain) -> None:
+    """NetCDF with groups posterior and sample_stats; each walker after the first tenth is a chain, and the coordinate
+    ``ensemble`` of sample_stats says to which independent ensemble it belongs. NetCDF has no slash in names: ``kPa/mm`` is
+    ``kPa per mm`` there."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the library announces its own next version
+        import arviz
+
+        kept = chain.samples[chain.steps // 10 :]
+        steps, ensembles, walkers, d = kept.shape
+        by_walker = kept.reshape(steps, ensembles * walkers, d).transpose(1, 0, 2)
+        log_prob = chain.log_prob[chain.steps // 10 :].reshape(steps, -1).T
+        data = arviz.from_dict(
+            posterior={name.replace("/", " per "): by_walker[..., i] for i, name in enumerate(chain.names)},
+            sample_stats={"lp": log_prob},
+        )
+        data.sample_stats.attrs["walkers_in_each_ensemble"] = walkers
+        with replacing(path) as temporary:
+            data.to_netcdf(str(temporary), engine="h5netcdf")
