@@ -117,7 +117,7 @@ def from_mesh(
     say: Say = print,
     unit: str | None = None,
 ) -> Built:
-    """Bundle from any mesh of an atrium; ``unit``: of repair.UNITS, None: told from the size."""
+    """Bundle from any mesh of an atrium; ``unit``: of surfacefile.UNITS, None: told from the size."""
     say("repairing the surface")
     repaired = repair.repair(mesh.points, mesh.triangles, unit, mesh.outer)
     repaired = replace(repaired, notes=(*mesh.notes, *repaired.notes))

@@ -184,7 +184,7 @@ def _build(
     import numpy as np
 
     from lacli.anatomy import build
-    from lacli.anatomy.inputs import anything, image, meshfile, repair
+    from lacli.anatomy.inputs import anything, image, meshfile, surfacefile
     from lacli.anatomy.openings import landmarks
 
     meshfile.check_surface(source)
@@ -194,7 +194,7 @@ def _build(
         volumes = image.label_volumes(labels)
         return build.from_labels(labels, la_label(source, volumes, la), lv, options, given, say, wall)
     if not anything.is_mesh(source):
-        known = ", ".join((*image.SUFFIXES, *repair.SUFFIXES, ".elem"))
+        known = ", ".join((*image.SUFFIXES, *surfacefile.SUFFIXES, ".elem"))
         raise UsageError(f"{source}: the ending is not one of {known}.")
     mesh = anything.read(source)
     axes = {
