@@ -11,7 +11,6 @@ anatomy by the others. Asked: at least 93 % of the true errors within twice the 
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 from pathlib import Path
 from typing import Any

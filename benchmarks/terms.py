@@ -16,11 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from lacli.cli.terminal.console import print_json, print_table
+from lacli.cli.terminal.console import print_table
 from lacli.contracts import bundle as bundles
 from lacli.contracts.motion import save_motion
 from lacli.contracts.scene import Scene, build_scene
-from lacli.mechanics.cost import expected
 from lacli.mechanics.simulation import run_scene
 from lacli.synthetic.atrium import synthesize
 

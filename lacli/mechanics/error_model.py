@@ -83,5 +83,3 @@ def stated_errors(features: Mapping[str, Any], where: Resolution) -> dict[str, f
 @functools.cache
 def _model() -> dict[str, Any]:
     return dict(read_json(FILE, error=InputError)["orders"])
-
-
