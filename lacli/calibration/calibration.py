@@ -293,7 +293,7 @@ def _kept(file: Path, identity: Identity) -> bool:
     """Whether the .npz file was made from the same. Raises InputError where it is damaged."""
     if not file.is_file():
         return False
-    with array_file(file, "a wave's result", "Remove it to make it anew.") as arrays:
+    with array_file(file, "a wave's result", "Remove it to make it anew.", sealed=True) as arrays:
         found = arrays.read({"identity": Array("text")}, optional=("identity",))
         return "identity" in found and parse_identity(str(found["identity"])) == identity
 

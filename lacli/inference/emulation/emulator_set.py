@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import InputError
-from lacli.base.files import replacing
-from lacli.base.schema import Array, array_file, unfit
+from lacli.base.schema import Array, array_file, unfit, write_arrays
 from lacli.base.threads import one_thread
 from lacli.contracts.identity import Identity, array_digest, identify
 from lacli.contracts.tables.table import RunTable
 from lacli.inference.emulation import gp, moments
 from lacli.inference.emulation.emulator import Emulator
-from lacli.inference.emulation.scales import OutputScale
+from lacli.inference.emulation.scales import LARGEST_EXPONENT, OutputScale
 
 FORMAT = 2
 _REMEDY = "Run `lacli emulate` again."
@@ -187,10 +186,10 @@ def _to_outputs(s: _Stack, which: list[int], mean: FloatArray, variance: FloatAr
         logs = [which[i] for i in rows]
         here: Any = slice(None) if len(rows) == len(which) else rows
         v = variance[here]
-        e = np.exp(mean[here] + 0.5 * v)
+        e = np.exp(np.minimum(mean[here] + 0.5 * v, LARGEST_EXPONENT))
         mean[here] = s.sign[logs] * (e - s.offset[logs])
         e *= e
-        variance[here] = np.expm1(v) * e
+        variance[here] = np.expm1(np.minimum(v, LARGEST_EXPONENT)) * e
 
 
 def _stack(emulators: Sequence[Emulator]) -> _Stack:
@@ -264,8 +263,7 @@ def save_emulators(path: Path, emulators: EmulatorSet, identity: Identity | None
     arrays = _arrays(emulators)
     if identity is not None:
         arrays["identity"] = np.array(identity.text())
-    with replacing(Path(path)) as temporary, temporary.open("wb") as stream:
-        np.savez_compressed(stream, **arrays)
+    write_arrays(path, arrays)
 
 
 def emulators_identity(table: RunTable, **options: Any) -> Identity:
@@ -278,17 +276,19 @@ def load_emulators(path: Path) -> EmulatorSet:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such emulator file. Make it with `lacli emulate`.")
-    with array_file(path, "an emulator file", _REMEDY) as file, one_thread():
+    with array_file(path, "an emulator file", _REMEDY, sealed=True) as file, one_thread():
         number = int(file.read({"format": Array("int")})["format"])
         if number != FORMAT:
             raise InputError(f"{path}: written in format {number}, this program reads {FORMAT}. {_REMEDY}")
         head = file.read(_NAMES)
         if not len(head["inputs"]) or not len(head["outputs"]):
             raise unfit("it names no input or no output")
-        emulators = []
-        for i, output in enumerate(head["outputs"].tolist()):
-            a = file.read({f"{i}_{name}": array for name, array in _EACH.items()})
-            emulators.append(_emulator(output, {name: a[f"{i}_{name}"] for name in _EACH}))
+        each = [file.read({f"{i}_{name}": array for name, array in _EACH.items()}) for i in range(len(head["outputs"]))]
+        file.check_seal()
+        emulators = [
+            _emulator(output, {name: a[f"{i}_{name}"] for name in _EACH})
+            for i, (output, a) in enumerate(zip(head["outputs"].tolist(), each, strict=True))
+        ]
         result = EmulatorSet(tuple(head["inputs"].tolist()), tuple(emulators))
         _check_common_range(result)
     return result
