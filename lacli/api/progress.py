@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from lacli.base.errors import Cancelled
 
 if TYPE_CHECKING:
-    from lacli.freefem.program import Progress as SolverProgress
+    from lacli.freefem.run import Progress as SolverProgress
 
 
 @dataclass(frozen=True)
