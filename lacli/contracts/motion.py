@@ -8,6 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import InputError
 from lacli.base.schema import Array, array_file, unfit, write_arrays
