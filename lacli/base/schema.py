@@ -192,10 +192,10 @@ def array_file(
 
 def write_arrays(path: Path, arrays: Mapping[str, Any], *, compressed: bool = True) -> None:
     """Write named arrays with their seal to an .npz file, whole or not at all. Raises StorageError."""
-    sealed = {name: np.asarray(value) for name, value in arrays.items()}
-    seal = _seal((name, np.ascontiguousarray(sealed[name])) for name in sorted(sealed))
+    sealed: dict[str, Any] = {name: np.asarray(value) for name, value in arrays.items()}
+    sealed[SEAL] = np.array(_seal((name, np.ascontiguousarray(sealed[name])) for name in sorted(sealed)))
     with replacing(Path(path)) as temporary, temporary.open("wb") as stream:
-        (np.savez_compressed if compressed else np.savez)(stream, **sealed, **{SEAL: np.array(seal)})
+        (np.savez_compressed if compressed else np.savez)(stream, **sealed)
 
 
 def _seal(arrays: Iterable[tuple[str, NDArray[Any]]]) -> str:
