@@ -160,9 +160,7 @@ def calibrate(
         place = folder / f"wave_{number}"
         tick = _ticker(monitor, "emulators", number, reports)
         emulators, notes, finished_x, failed_x = _emulators(log, x, targets, settings, place, tick)
-        wave = Wave(
-            emulators, targets.widened(emulators.error_sd), settings.thresholds[min(number, len(settings.thresholds)) - 1]
-        )
+        wave = Wave(emulators, targets, settings.thresholds[min(number, len(settings.thresholds)) - 1])
         region = region.add(wave)
         monitor(Status("matching", number, 0, 1, tuple(reports)))
         try:

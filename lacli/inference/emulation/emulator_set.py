@@ -18,6 +18,7 @@ from lacli.contracts.identity import Identity, array_digest, identify
 from lacli.contracts.tables.table import RunTable
 from lacli.inference.emulation import gp, moments
 from lacli.inference.emulation.emulator import Emulator
+from lacli.inference.emulation.run_errors import RunErrors, run_errors
 from lacli.inference.emulation.scales import LARGEST_EXPONENT, OutputScale
 
 FORMAT = 2
@@ -76,6 +77,7 @@ class EmulatorSet:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_stack", _stack(self.emulators))
+        object.__setattr__(self, "_errors", tuple(run_errors(e) for e in self.emulators))
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -86,11 +88,6 @@ class EmulatorSet:
     def runs(self) -> int:
         """Number of training runs."""
         return len(self.emulators[0].process.y)
-
-    @property
-    def error_sd(self) -> FloatArray:
-        """The runs' own errors (p,), one standard deviation in the outputs' units: 0 where none is known."""
-        return np.array([e.error_sd for e in self.emulators])
 
     def range(self) -> tuple[FloatArray, FloatArray]:
         """Lowest and highest training inputs (d,), in their units."""
@@ -118,6 +115,20 @@ class EmulatorSet:
         """Mean (m, p) and variance (m, p) of the outputs at x (m, d), in the outputs' units and their squares."""
         mean, variance = self._predict(list(range(len(self.emulators))), x)
         return mean.T, variance.T
+
+    def error_variance(self, j: int, x: FloatArray) -> FloatArray:
+        """Variance (m,) of the own error of runs at x (m, d) in output number j: 0 where the training runs tell none."""
+        errors: RunErrors | None = self._errors[j]  # type: ignore[attr-defined]
+        return np.zeros(len(x)) if errors is None else errors(x)
+
+    def predict_truth(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean (m, p) and variance (m, p) of what the runs at x (m, d) stand for, their own error counted: what a measurement
+        is held against."""
+        mean, variance = self.predict(x)
+        for j in range(len(self.emulators)):
+            if self.emulators[j].error_sd > 0:
+                variance[:, j] += self.error_variance(j, x)
+        return mean, variance
 
     def predict_mean(self, x: FloatArray) -> FloatArray:
         """Mean (m, p) alone, at a fraction of the cost; of a logarithmic output, the median (no variance is computed)."""
