@@ -59,6 +59,18 @@ class Stage:
         """One more step is done. Raises Cancelled."""
         self.reach(self._done + 1)
 
+    def next(self, name: str) -> None:
+        """One more step is done, and what follows has this name. Raises Cancelled."""
+        self.name = name
+        self.step()
+
+    def of(self, name: str, done: float, total: float) -> None:
+        """``done`` of ``total`` is reached in what has this name; another name begins another stage. Raises Cancelled."""
+        if name != self.name:
+            self._begin = time.monotonic()
+        self.name, self.total = name, total
+        self.reach(done)
+
 
 def check(cancel: Cancel | None, stage: str) -> None:
     """Raises Cancelled where the caller no longer wants the call."""
