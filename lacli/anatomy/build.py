@@ -11,24 +11,26 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lacli.anatomy.coordinates import describe as coordinates
-from lacli.anatomy.inputs import extraction, patches, repair
+from lacli.anatomy.inputs import extraction, patches, repair, voxels
 from lacli.anatomy.inputs.anything import Mesh
 from lacli.anatomy.inputs.image import Image
 from lacli.anatomy.inputs.patches import Tagged
 from lacli.anatomy.inputs.repair import Repaired
 from lacli.anatomy.openings import clipping, finding, trunk
-from lacli.anatomy.openings.candidate import Candidate
+from lacli.anatomy.openings.candidate import Candidate, place
 from lacli.anatomy.openings.closing import CAP
 from lacli.anatomy.openings.landmarks import LPS, Axes, Landmarks
 from lacli.anatomy.openings.mitral import lv_contact, of_contact
-from lacli.anatomy.wall.shell import mesh_shell
+from lacli.anatomy.wall.shell import TooTightError, mesh_shell
 from lacli.base.errors import AnatomyError
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.labels import OPENINGS, PLANES
-from lacli.geometry.surface import Surface
+from lacli.geometry.surface import Surface, nearest
 
 Say = Callable[[str], None]
 LEAST_WALL_MM = 1.0
+FINE_MM, UNFOLD_MM = 0.6, 1.5  # voxels and smoothing of a surface whose folds no wall can follow
+THINNED = 0.05  # share of the wall's points that may be thinner than asked without a word
 
 
 @dataclass(frozen=True)
@@ -158,7 +160,12 @@ def _from_closed(
     say("cutting")
     cavity = clip(surface, found)
     say("meshing the wall")
-    bundle = _shell(cavity, options, outer, notes)
+    try:
+        bundle = _shell(cavity, options, outer, notes)
+    except TooTightError:
+        cavity, found = _smoothed(surface, found, notes)
+        bundle = _shell(cavity, options, outer, notes)
+    _say_thinned(bundle, notes)
     say("coordinates, regions, fibres")
     described = coordinates.describe(bundle, found.sides, options.fibre_rule)
     if described.islands:
@@ -174,6 +181,30 @@ def _from_closed(
     return Built(described.bundle, found, cavity, tuple(notes), measures)
 
 
+def _smoothed(surface: Surface, found: Landmarks, notes: list[str]) -> tuple[Surface, Landmarks]:
+    """The cavity without the folds that no wall can follow, cut anew just inside the rims that it had caps for."""
+    smooth = extraction.surface_of(voxels.voxels(surface, FINE_MM), UNFOLD_MM, 0.8)
+    openings = {n: replace(o, cap=0, centre=o.centre - (FINE_MM if o.cap else 0.0) * o.normal) for n, o in found.openings.items()}
+    found = replace(found, openings=openings)
+    cavity = clip(smooth, found)
+    away, _ = nearest(smooth.points, surface.points)
+    notes.append(
+        f"the surface has folds that no wall can follow (the deepest at {place(surface.points[int(away.argmax())])}): it was "
+        f"smoothed over {UNFOLD_MM:g} mm, by {np.percentile(away, 95):.1f} mm at 95 % of its points and {away.max():.1f} mm at "
+        f"most; {surface.volume_ml():.1f} mL became {smooth.volume_ml():.1f} mL"
+    )
+    return cavity, found
+
+
+def _say_thinned(bundle: Bundle, notes: list[str]) -> None:
+    share = float(bundle.info["shell"]["thinned_share"])
+    if share > THINNED:
+        notes.append(
+            f"the wall is thinner than asked at {100 * share:.0f} % of its points, where the surface bends too tightly for it; "
+            "thickness per region is in the report"
+        )
+
+
 def _shell(cavity: Surface, options: Options, outer: Surface | None, notes: list[str]) -> Bundle:
     """The wall's cells; where the surface bends too tightly for the size, smaller ones."""
     for factor in (1.0, 0.8, 0.64, 0.5):
@@ -187,7 +218,7 @@ def _shell(cavity: Surface, options: Options, outer: Surface | None, notes: list
                 layers=options.layers,
                 ring_width_mm=options.ring_width_mm,
             )
-        except AnatomyError:
+        except TooTightError:
             if factor == 0.5:
                 raise
             continue
