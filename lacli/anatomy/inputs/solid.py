@@ -18,6 +18,7 @@ VOXEL_MM = 1.0  # of the wall that rays meet
 REACH_MM = 80.0
 LOOK_MM = 15.0  # how much a right angle between two normals counts when the nearest face alike is looked for
 THICK = 2.0  # of the median way through the wall: a face with a longer one is a cut face at an opening
+OPPOSITE = -0.7  # cosine of the normals of a face and of the one behind it through the wall, at most
 FAR_MM = 200.0
 MANY_RIMS = 10
 CREASE_DEG = 30.0  # a border between the sides costs exp(-(bend / that)^2) of its length
@@ -47,7 +48,8 @@ def shells(points: FloatArray, tets: IntArray, tag: IntArray) -> tuple[IntArray,
     cut = through > THICK * typical
     seen = visibility(points, faces, middle, normal)
     _, behind = cKDTree(np.hstack([middle, LOOK_MM * normal])).query(np.hstack([middle - typical * normal, -LOOK_MM * normal]))
-    lean = np.where(cut, 0.0, seen - seen[behind])
+    aslant = np.einsum("ij,ij->i", normal, normal[behind]) > OPPOSITE  # zigzag rims are short of wall behind them as well
+    lean = np.where(cut | aslant, 0.0, seen - seen[behind])
     sides = [_largest(faces, area, mine) for mine in _parted(points, faces, normal, lean)]
     sizes = [float(area[s].sum()) for s in sides]
     if min(sizes) < 0.3 * max(sizes):
