@@ -52,7 +52,7 @@ def shells(points: FloatArray, tets: IntArray, tag: IntArray) -> tuple[IntArray,
     lean = np.where(cut | aslant, 0.0, seen - seen[behind])
     sides = [_largest(faces, area, mine) for mine in _parted(points, faces, normal, lean)]
     sizes = [float(area[s].sum()) for s in sides]
-    if min(sizes) < 0.3 * max(sizes):
+    if min(sizes) <= 0.3 * max(sizes):
         raise AnatomyError(
             f"the tetrahedra have no inner and outer side ({sizes[0]:.0f} and {sizes[1]:.0f} mm2 were told apart): is it a wall, "
             "open at the valve? Give the endocardium as a surface."
