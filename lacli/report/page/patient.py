@@ -69,7 +69,7 @@ def _check_anatomy(folder: Path, run: Run) -> None:
     except AnatomyError:
         return  # gone: that is said where the thickness is
     if of_run != known:
-        raise InputError(f"{run.folder}: the run's bundle, {run.scene.anatomy.bundle}, is another than the calibration's.")
+        raise InputError(f"{run.folder}: the run's bundle, {run.scene.anatomy.bundle}, is not the calibration's.")
 
 
 def _elsewhere(run: Run, result: Mapping[str, Any]) -> list[str]:
@@ -83,9 +83,8 @@ def _elsewhere(run: Run, result: Mapping[str, Any]) -> list[str]:
             apart.append(f"{name} {value:.4g} (most probable {best:.4g})")
     if not apart:
         return []
-    return [
-        f"The run shown was not made at the most probable parameters: {', '.join(apart)}. Its motion is not the patient's best fit."
-    ]
+    words = f"The run shown was not made at the most probable parameters: {', '.join(apart)}."
+    return [f"{words} Its motion is not the patient's best fit."]
 
 
 def _stiffness(result: Mapping[str, Any]) -> dict[str, tuple[str, dict[str, float]]]:
