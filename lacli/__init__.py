@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from lacli.base.version import __version__
 
 if TYPE_CHECKING:
+    from lacli.api.anatomy import Meshing, mesh
     from lacli.api.inference import Emulation, Matching, NothingLeft, Sensitivity, emulate, match, sensitivity
     from lacli.api.mechanics import read_deck, rerun, simulate, write_deck
     from lacli.api.progress import Progress
@@ -30,6 +31,7 @@ __all__ = [
     "EmulatorSet",
     "LacliError",
     "Matching",
+    "Meshing",
     "NothingLeft",
     "Progress",
     "RunResult",
@@ -43,6 +45,7 @@ __all__ = [
     "load_scene",
     "make_box",
     "match",
+    "mesh",
     "read_box",
     "read_deck",
     "read_runs",
@@ -55,6 +58,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "lacli.api.anatomy": ("Meshing", "mesh"),
     "lacli.api.inference": ("Emulation", "Matching", "NothingLeft", "Sensitivity", "emulate", "match", "sensitivity"),
     "lacli.api.mechanics": ("read_deck", "rerun", "simulate", "write_deck"),
     "lacli.api.progress": ("Progress",),

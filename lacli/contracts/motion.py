@@ -40,6 +40,11 @@ class Motion:
         """(f, n, 3) mm from the first frame."""
         return self.positions - self.positions[0]
 
+    def of_points(self, kept: IntArray) -> Motion:
+        """The motion of those points of the bundle (ids, rising), which are numbered anew in their order."""
+        inside = np.isin(self.wall_point, kept)
+        return Motion(self.times, np.searchsorted(kept, self.wall_point[inside]), self.positions[:, inside], self.es_time)
+
 
 def save_motion(motion: Motion, folder: Path) -> Path:
     """Write ``motion.npz`` into ``folder`` (under a temporary name first)."""

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lacli.base.arrays import FloatArray
-from lacli.contracts.bundle import Bundle
-from lacli.contracts.case import as_order
+from lacli.contracts.bundle import Bundle, as_order
 from lacli.verification import meshes
 from lacli.verification.equilibria import on_planes
 from lacli.verification.laws import OFFSETS, difference

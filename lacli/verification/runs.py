@@ -15,8 +15,9 @@ from lacli.base import resources
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import SimulationError
 from lacli.contracts.bundle import Bundle
-from lacli.freefem import program as freefem
+from lacli.freefem import run as freefem
 from lacli.freefem.files import CELL_ORDER, FACE_ORDER, write_arrays, write_medit
+from lacli.freefem.program import find
 from lacli.freefem.template import render_template
 from lacli.mechanics.engine import plugin
 
@@ -284,7 +285,7 @@ def _run(template: str, folder: Path, **choices: Any) -> freefem.Outcome:
     script = folder / "deck.edp"
     script.write_text(text, encoding="utf-8")
     solvers = resources.folder("solvers") / "freefem"
-    outcome = freefem.run(freefem.find(), script, folder, TIMEOUT_S, includes=(solvers,))
+    outcome = freefem.run(find(), script, folder, TIMEOUT_S, includes=(solvers,))
     if outcome.kind is not None:
         raise SimulationError(outcome.kind, f"A verification problem did not end ({outcome.kind}): {outcome.message}")
     return outcome

@@ -9,8 +9,7 @@ from functools import partial
 import numpy as np
 
 from lacli.base.arrays import FloatArray
-from lacli.contracts.bundle import Bundle
-from lacli.contracts.case import as_order
+from lacli.contracts.bundle import Bundle, as_order
 from lacli.contracts.labels import BODY_REGIONS
 from lacli.verification.forms import KAPPA, TOLERANCE, distorted_box, disturbed
 from lacli.verification.laws import OFFSETS, difference

@@ -359,7 +359,7 @@ PRODUCTS = {"features.json": b'{"edv_ml": 80.5}', "transients.csv": b"time,volum
 
 
 def stored(scene: Scene, root: Path) -> None:
-    with open_run(root, scene) as run:
+    with open_run(root, run_key(scene)) as run:
         for name, content in PRODUCTS.items():
             (run.folder / name).parent.mkdir(exist_ok=True)
             (run.folder / name).write_bytes(content)
