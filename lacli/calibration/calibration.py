@@ -160,9 +160,7 @@ def calibrate(
         place = folder / f"wave_{number}"
         tick = _ticker(monitor, "emulators", number, reports)
         emulators, notes, finished_x, failed_x = _emulators(log, x, targets, settings, place, tick)
-        wave = Wave(
-            emulators, targets.widened(emulators.error_sd), settings.thresholds[min(number, len(settings.thresholds)) - 1]
-        )
+        wave = Wave(emulators, targets, settings.thresholds[min(number, len(settings.thresholds)) - 1])
         region = region.add(wave)
         monitor(Status("matching", number, 0, 1, tuple(reports)))
         try:
@@ -176,7 +174,7 @@ def calibrate(
         if number == 1:  # not sooner: targets or a box that leave nothing may be put right and tried again here
             write_identity(folder / FILE, identity)
         samples.append(found.sample)
-        r2 = {e.output: e.held_out_r2 for e in emulators.emulators}
+        r2 = dict(zip(emulators.outputs, emulators.held_out_r2.tolist(), strict=True))
         counts = (len(finished_x), len(failed_x))
         reports.append(WaveReport(number, *counts, wave.threshold, r2, found.share, found.share_sd, found.change, notes))
         monitor(Status("wave done", number, 1, 1, tuple(reports)))
@@ -293,7 +291,7 @@ def _kept(file: Path, identity: Identity) -> bool:
     """Whether the .npz file was made from the same. Raises InputError where it is damaged."""
     if not file.is_file():
         return False
-    with array_file(file, "a wave's result", "Remove it to make it anew.") as arrays:
+    with array_file(file, "a wave's result", "Remove it to make it anew.", sealed=True) as arrays:
         found = arrays.read({"identity": Array("text")}, optional=("identity",))
         return "identity" in found and parse_identity(str(found["identity"])) == identity
 

@@ -5,6 +5,7 @@ import pytest
 
 from lacli.api import inference
 from lacli.base.errors import InputError, UsageError
+from lacli.base.schema import SEAL, write_arrays
 from lacli.contracts.tables.table import RunTable
 from lacli.contracts.targets import Targets
 from lacli.inference.box import make_box
@@ -133,13 +134,13 @@ def test_a_damaged_file_is_one_message(fitted, tmp_path):
     path = tmp_path / "emulators.npz"
     save_emulators(path, fitted)
     with np.load(path) as stored:
-        arrays = {name: stored[name] for name in stored.files}
+        arrays = {name: stored[name] for name in stored.files if name != SEAL}
     for name, value in {
         "scale": -arrays["scale"], "0_theta": arrays["0_theta"] + 50, "0_active": np.array([0, 7]),
         "1_rows": arrays["1_rows"][:2],
         "u": arrays["u"] * 3, "weights": arrays["weights"][:, :0], "low": arrays["high"], "0_kernel": np.array(9),
     }.items():  # fmt: skip
-        np.savez(tmp_path / "other.npz", **(arrays | {name: value}))
+        write_arrays(tmp_path / "other.npz", arrays | {name: value})  # sealed anew
         with pytest.raises(InputError, match="not an emulator file, or a damaged one"):
             load_emulators(tmp_path / "other.npz")
 
@@ -162,3 +163,13 @@ def test_a_table_without_derivatives_is_refused_by_name():
     plain = table()
     with pytest.raises(UsageError, match="d<output>/d<input>"):
         fit_gradient_emulators(RunTable(**{**plain.__dict__, "gradients": None}))
+
+
+def test_the_runs_own_error_reaches_what_a_measurement_is_held_against():
+    """Runs that say 0.3 mL and 0.02 mm: so much more variance, and none in the prediction of a run."""
+    plain = table()
+    rough = RunTable(**{**plain.__dict__, "error_sd": np.tile([0.3, 0.0], (plain.runs, 1))})
+    made = fit_gradient_emulators(rough)
+    x = BOX.uniform(20, np.random.default_rng(9))
+    added = made.predict_truth(x)[1] - made.predict(x)[1]
+    assert added[:, 0] == pytest.approx(0.09, rel=1e-6) and not added[:, 1].any()

@@ -26,7 +26,7 @@ _HEAD = {
     "residual": Array(shape=("p",), least=0.0),
     "inflation": Array(shape=("p",), least=0.0, open_=True),
     "held_out_r2": Array(shape=("p",), most=1.0),
-    "error_sd": Array(shape=("p",), least=0.0),
+    "told_error": Array(shape=("n", "p"), least=0.0),
     "u": Array(shape=("n", "d"), least=-1.0 - 1e-6, most=1.0 + 1e-6),
 }
 
@@ -69,13 +69,15 @@ def read(file: ArrayFile) -> GradientEmulators:
         raise unfit("it names no input or no output, or holds no process")
     if (a["low"] >= a["high"]).any():
         raise unfit("an input's range is empty")
-    processes = tuple(_process(file, c, a["u"]) for c in range(a["weights"].shape[1]))
+    each = [file.read(_each(c)) for c in range(a["weights"].shape[1])]
+    file.check_seal()
+    processes = tuple(_process(c, stored, a["u"]) for c, stored in enumerate(each))
     named = {name: value for name, value in a.items() if name not in ("inputs", "outputs", "u")}
     return GradientEmulators(tuple(a["inputs"].tolist()), tuple(a["outputs"].tolist()), **named, processes=processes)
 
 
-def _process(file: ArrayFile, c: int, u: Any) -> GradientGP:
-    a = {name.removeprefix(f"{c}_"): value for name, value in file.read(_each(c)).items()}
+def _process(c: int, stored: dict[str, Any], u: Any) -> GradientGP:
+    a = {name.removeprefix(f"{c}_"): value for name, value in stored.items()}
     d = u.shape[1]
     if a["active"].size and a["active"][-1] >= d:
         raise unfit(f"process {c} has derivatives by input {a['active'][-1]} of {d}")

@@ -22,6 +22,7 @@ from lacli.inference.emulation import gradient_process as process
 from lacli.inference.emulation.function_draws import draw_process
 from lacli.inference.emulation.gradient_kernel import KINDS, Kind
 from lacli.inference.emulation.gradient_process import Data, GradientGP
+from lacli.inference.emulation.run_errors import RunErrors, told_errors
 from lacli.inference.emulation.scales import coordinates, may_be_logarithmic
 
 # up to so many outputs have a process each; of more, components that leave no output more than this share of its variance
@@ -39,8 +40,8 @@ class GradientEmulators:
 
     log_inputs, low, high (d,): u = 2 (t(x) - low) / (high - low) - 1 with t = log where ``log_inputs``. Output j =
     shift + scale (weights[j] . processes), weights (p, q); residual (p,): variance of what the components cut off, over
-    scale squared; inflation (p,): of the variance, by leaving runs out; held_out_r2 (p,) likewise; error_sd (p,): root mean
-    square of the runs' known errors, in the outputs' units.
+    scale squared; inflation (p,): of the variance, by leaving runs out; held_out_r2 (p,) likewise; told_error (n, p):
+    variance of each run's own error, in the outputs' units squared.
     """
 
     inputs: tuple[str, ...]
@@ -54,8 +55,12 @@ class GradientEmulators:
     residual: FloatArray
     inflation: FloatArray
     held_out_r2: FloatArray
-    error_sd: FloatArray
+    told_error: FloatArray
     processes: tuple[GradientGP, ...]
+
+    def __post_init__(self) -> None:
+        scales = (self.processes[0].data.u, self.log_inputs, self.low, self.high)
+        object.__setattr__(self, "_errors", tuple(told_errors(told, *scales) for told in self.told_error.T))
 
     @property
     def runs(self) -> int:
@@ -101,13 +106,26 @@ class GradientEmulators:
         used = np.flatnonzero(weights.any(0))
         return GradientEmulators(
             self.inputs, tuple(outputs), self.log_inputs, self.low, self.high, self.shift[j], self.scale[j], weights[:, used],
-            self.residual[j], self.inflation[j], self.held_out_r2[j], self.error_sd[j],
+            self.residual[j], self.inflation[j], self.held_out_r2[j], self.told_error[:, j],
             tuple(self.processes[c] for c in used),
         )  # fmt: skip
 
     def predict(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean (m, p) and variance (m, p) of the outputs at x (m, d), in the outputs' units and their squares."""
         return self._predict(np.arange(len(self.outputs)), x)
+
+    def error_variance(self, j: int, x: FloatArray) -> FloatArray:
+        """Variance (m,) of the own error of runs at x (m, d) in output number j: 0 where the training runs tell none."""
+        errors: RunErrors | None = self._errors[j]  # type: ignore[attr-defined]
+        return np.zeros(len(x)) if errors is None else errors(x)
+
+    def predict_truth(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean (m, p) and variance (m, p) of what the runs at x (m, d) stand for, their own error counted: what a measurement
+        is held against."""
+        mean, variance = self.predict(x)
+        for j in np.flatnonzero(self.told_error.any(0)).tolist():
+            variance[:, j] += self.error_variance(j, x)
+        return mean, variance
 
     def predict_mean(self, x: FloatArray) -> FloatArray:
         """Mean (m, p) alone, at a fraction of the cost."""
@@ -190,7 +208,7 @@ def fit_gradient_emulators(
     inflation, r2 = _left_out(white, weights, residual, processes)
     return GradientEmulators(
         table.inputs, table.outputs, white.log_inputs, white.low, white.high, white.shift, white.scale, weights, residual,
-        inflation, r2, np.sqrt((table.error_sd**2).mean(0)), tuple(processes),
+        inflation, r2, table.error_sd**2, tuple(processes),
     )  # fmt: skip
 
 
