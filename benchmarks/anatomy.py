@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from lacli.anatomy import build, quality
 from lacli.anatomy.coordinates import fibres, regions, uac
-from lacli.anatomy.inputs import extraction, image, repair, tagged
+from lacli.anatomy.inputs import extraction, image, repair, tagged, voxels
 from lacli.anatomy.openings import clipping, finding, ostium
 from lacli.anatomy.openings.cut import Cut
 from lacli.anatomy.openings.landmarks import Landmarks, Opening
@@ -104,7 +104,7 @@ def auto_vessels(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Vessel of each triangle from the bare surface: its openings named, each followed inward to where it widens."""
     repaired = repair.repair(points, triangles)
     landmarks = finding.find(repaired.surface, repaired.rims, None).landmarks
-    field = repair.voxel_field(repaired.surface, 0.5)
+    field = voxels.voxel_field(repaired.surface, 0.5)
     cavity = repaired.surface
     for name, opening in landmarks.openings.items():
         if name == "mv":

@@ -57,7 +57,7 @@ def forget() -> None:
 
 
 def stored(scene: Scene, root: Path, fields: bool) -> None:
-    with open_run(root, scene) as run:
+    with open_run(root, identity.run_key(scene)) as run:
         (run.folder / "features.json").write_text('{"edv_ml": 80.5}' + " " * 1000)
         (run.folder / "transients.csv").write_text("time,volume_ml\n" * 100)
         if fields:

@@ -119,7 +119,7 @@ def cost(scene: Scene, folder: Path, repeats: int = 5) -> dict[str, Any]:
             case = plan.prepare(_asking(scene, asked))
             place = folder / f"{repeat}_{asked}"
             place.mkdir()
-            outcome = deck.run(deck.write(case, place), 3600)
+            outcome = deck.run(deck.write(case, place))
             spent[asked].append(outcome.cpu_s)
             if asked:
                 chain.append(_chain(case, place))

@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING
 from lacli.base.version import __version__
 
 if TYPE_CHECKING:
+    from lacli.api.anatomy import Meshing, mesh
     from lacli.api.inference import Emulation, Matching, NothingLeft, Sensitivity, emulate, match, sensitivity
     from lacli.api.mechanics import read_deck, rerun, simulate, write_deck
     from lacli.api.progress import Progress
+    from lacli.api.study import stats
     from lacli.base.errors import Cancelled, LacliError
     from lacli.contracts.scene import Scene, load_scene
     from lacli.contracts.tables.table import RunTable, read_runs
@@ -30,6 +32,7 @@ __all__ = [
     "EmulatorSet",
     "LacliError",
     "Matching",
+    "Meshing",
     "NothingLeft",
     "Progress",
     "RunResult",
@@ -43,6 +46,7 @@ __all__ = [
     "load_scene",
     "make_box",
     "match",
+    "mesh",
     "read_box",
     "read_deck",
     "read_runs",
@@ -51,13 +55,16 @@ __all__ = [
     "save_emulators",
     "sensitivity",
     "simulate",
+    "stats",
     "write_deck",
 ]
 
 _HOMES = {
+    "lacli.api.anatomy": ("Meshing", "mesh"),
     "lacli.api.inference": ("Emulation", "Matching", "NothingLeft", "Sensitivity", "emulate", "match", "sensitivity"),
     "lacli.api.mechanics": ("read_deck", "rerun", "simulate", "write_deck"),
     "lacli.api.progress": ("Progress",),
+    "lacli.api.study": ("stats",),
     "lacli.base.errors": ("Cancelled", "LacliError"),
     "lacli.contracts.scene": ("Scene", "load_scene"),
     "lacli.contracts.tables.table": ("RunTable", "read_runs"),

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from lacli.contracts.scene import Scene
-    from lacli.freefem.program import Progress as SolverProgress
+    from lacli.freefem.run import Progress as SolverProgress
     from lacli.mechanics.simulation import RunResult
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from lacli.base.errors import Cancelled
 
 if TYPE_CHECKING:
-    from lacli.freefem.program import Progress as SolverProgress
+    from lacli.freefem.run import Progress as SolverProgress
 
 
 @dataclass(frozen=True)
@@ -58,6 +58,18 @@ class Stage:
     def step(self) -> None:
         """One more step is done. Raises Cancelled."""
         self.reach(self._done + 1)
+
+    def next(self, name: str) -> None:
+        """One more step is done, and what follows has this name. Raises Cancelled."""
+        self.name = name
+        self.step()
+
+    def of(self, name: str, done: float, total: float) -> None:
+        """``done`` of ``total`` is reached in what has this name; another name begins another stage. Raises Cancelled."""
+        if name != self.name:
+            self._begin = time.monotonic()
+        self.name, self.total = name, total
+        self.reach(done)
 
 
 def check(cancel: Cancel | None, stage: str) -> None:

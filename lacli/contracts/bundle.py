@@ -199,6 +199,33 @@ def _read_boundary(surface: Any, file: Path, points: FloatArray) -> tuple[IntArr
     return ids[faces], np.asarray(surface.cell_data["tag"], dtype=np.int64)
 
 
+def as_order(bundle: Bundle, order: int) -> Bundle:
+    """The bundle with cells of that order: edge middles dropped for 1. Raises AnatomyError where they would be needed."""
+    if order == bundle.order:
+        return bundle
+    if order == 2:
+        raise AnatomyError("numerics.order is 2 but the bundle has 4-node cells: set numerics.order to 1, or mesh with order 2.")
+    used, local = np.unique(bundle.tets[:, :4], return_inverse=True)
+    new = np.full(len(bundle.points), -1, dtype=np.int64)
+    new[used] = np.arange(len(used))
+
+    def pick(values: FloatArray | None) -> FloatArray | None:
+        return None if values is None else values[used]
+
+    return Bundle(
+        points=bundle.points[used],
+        tets=local.reshape(-1, 4),
+        region=bundle.region,
+        triangles=new[bundle.triangles[:, :3]],
+        tags=bundle.tags,
+        fibre=bundle.fibre,
+        transmural=pick(bundle.transmural),
+        uac=pick(bundle.uac),
+        pericardium_coordinate=pick(bundle.pericardium_coordinate),
+        info=bundle.info,
+    )
+
+
 def _optional(mesh: meshio.Mesh, name: str) -> FloatArray | None:
     return np.asarray(mesh.point_data[name], dtype=np.float64) if name in mesh.point_data else None
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import InputError
-from lacli.base.schema import Array, array_file, unfit
+from lacli.base.schema import Array, array_file, unfit, write_arrays
 
 FILE = "motion.npz"
 # a position further than this from the image's origin is no millimetre
@@ -40,17 +40,19 @@ class Motion:
         """(f, n, 3) mm from the first frame."""
         return self.positions - self.positions[0]
 
+    def of_points(self, kept: IntArray) -> Motion:
+        """The motion of those points of the bundle (ids, rising), which are numbered anew in their order."""
+        inside = np.isin(self.wall_point, kept)
+        return Motion(self.times, np.searchsorted(kept, self.wall_point[inside]), self.positions[:, inside], self.es_time)
+
 
 def save_motion(motion: Motion, folder: Path) -> Path:
-    """Write ``motion.npz`` into ``folder`` (under a temporary name first)."""
-    folder.mkdir(parents=True, exist_ok=True)
-    target = folder / FILE
-    partial = folder / (FILE + ".partial.npz")
-    np.savez_compressed(
-        partial, times=motion.times, wall_point=motion.wall_point, positions=motion.positions, es_time=np.array(motion.es_time)
-    )
-    partial.replace(target)
-    return target
+    """Write ``motion.npz`` into ``folder`` (whole or not at all), with a seal; one that users write needs none."""
+    arrays = {
+        "times": motion.times, "wall_point": motion.wall_point, "positions": motion.positions, "es_time": float(motion.es_time),
+    }  # fmt: skip
+    write_arrays(folder / FILE, arrays)
+    return folder / FILE
 
 
 def load_motion(folder: Path) -> Motion:

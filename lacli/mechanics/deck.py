@@ -13,22 +13,25 @@ from pathlib import Path
 from lacli.base import resources
 from lacli.base.files import write_text
 from lacli.contracts.case import Case, Plan
-from lacli.contracts.scene import Scene
-from lacli.freefem import program as freefem
+from lacli.contracts.scene import Scene, dump_scene
+from lacli.freefem import run as freefem
+from lacli.freefem.program import find
 from lacli.freefem.template import render_template
 from lacli.mechanics import engine
 from lacli.mechanics.inputs import write_inputs
 
 SCRIPT = "deck.edp"
+SCENE = "scene.toml"
 OnProgress = Callable[[freefem.Progress], None]
 
 
 @dataclass(frozen=True)
 class Deck:
-    """A written deck: its folder, and the engine that its script names (``plugin`` or ``script``)."""
+    """A written deck: its folder, the engine that its script names (``plugin`` or ``script``), and how long it may run."""
 
     folder: Path
     engine: str
+    timeout_s: float
 
     @property
     def script(self) -> Path:
@@ -37,14 +40,18 @@ class Deck:
 
 
 def write(case: Case, folder: Path) -> Deck:
-    """Write the script and all that it reads into ``folder``, which must be there. Raises SolverMissingError, StorageError."""
+    """Write the scene, the script and all that this reads into ``folder``, which must be there.
+
+    Raises SolverMissingError, StorageError.
+    """
+    write_text(folder / SCENE, dump_scene(case.scene))
     plugin = engine.choose(case.scene)
     write_inputs(case, folder)
     write_text(folder / SCRIPT, render(case.scene, case.plan, plugin))
-    return Deck(folder, engine.name(plugin))
+    return Deck(folder, engine.name(plugin), case.scene.numerics.timeout_s)
 
 
-def run(deck: Deck, timeout_s: float, on_progress: OnProgress | None = None) -> freefem.Outcome:
+def run(deck: Deck, on_progress: OnProgress | None = None) -> freefem.Outcome:
     """Run a written deck; its results stay in its folder. Raises SolverMissingError."""
 
     def listen(line: str) -> None:
@@ -52,12 +59,12 @@ def run(deck: Deck, timeout_s: float, on_progress: OnProgress | None = None) -> 
         if progress is not None and on_progress is not None:
             on_progress(progress)
 
-    return freefem.run(freefem.find(), deck.script, deck.folder, timeout_s, listen, includes=(libraries(),))
+    return freefem.run(find(), deck.script, deck.folder, deck.timeout_s, listen, includes=(libraries(),))
 
 
 def shell_script() -> str:
     """A script that runs FreeFEM on the deck beside it, as ``run`` does, for a terminal or a batch system."""
-    found = freefem.find()
+    found = find()
     wanted = {
         name: value
         for name, value in found.environment(includes=(libraries(),)).items()

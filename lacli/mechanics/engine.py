@@ -12,7 +12,8 @@ from pathlib import Path
 from lacli.base import resources
 from lacli.base.errors import SolverMissingError
 from lacli.contracts.scene import Scene
-from lacli.freefem import program as freefem
+from lacli.freefem.plugins import compile_plugin, plugin_obstacle
+from lacli.freefem.program import find
 
 # the plugin calls MUMPS itself, to keep its analysis between factorisations
 PLUGIN_FLAGS = ("-Wl,--no-as-needed", "-march=native", "-ldmumps_seq", "-lmpiseq_seq")
@@ -22,14 +23,12 @@ _logger = logging.getLogger(__name__)
 
 def plugin() -> Path:
     """The compiled engine, built at first use. Raises SolverMissingError with the command that installs what it needs."""
-    found = freefem.find()
+    found = find()
     source = resources.folder("solvers") / "freefem" / "plugin" / "lacli.cpp"
     try:
-        return freefem.compile_plugin(found, source, flags=PLUGIN_FLAGS)
+        return compile_plugin(found, source, flags=PLUGIN_FLAGS)
     except SolverMissingError as error:
-        obstacle = freefem.plugin_obstacle(found) or (
-            f"{error}. If MUMPS' headers are missing: sudo apt-get install -y libmumps-seq-dev"
-        )
+        obstacle = plugin_obstacle(found) or (f"{error}. If MUMPS' headers are missing: sudo apt-get install -y libmumps-seq-dev")
         raise SolverMissingError(f"{obstacle}. `lacli doctor` says more.") from error
 
 
@@ -41,7 +40,7 @@ def choose(scene: Scene) -> Path | None:
     """
     if scene.numerics.engine == "script":
         return None
-    freefem.find()
+    find()
     try:
         return plugin()
     except SolverMissingError as error:

@@ -19,6 +19,7 @@ from lacli.base.processes.machine import free_bytes, memory_mb
 from lacli.base.processes.process import answer_of
 from lacli.base.resources import folder as resource_folder
 from lacli.base.version import __version__
+from lacli.freefem import plugins
 from lacli.freefem import program as ff
 from lacli.freefem.program import FreeFem
 from lacli.mechanics.engine import PLUGIN_FLAGS, SLOWER
@@ -131,12 +132,12 @@ _WITHOUT = f"optional: simulations run without, with the same numbers in about {
 
 def _compiler(freefem: FreeFem) -> Check:
     name = "compiled kernels"
-    if obstacle := ff.plugin_obstacle(freefem):
+    if obstacle := plugins.plugin_obstacle(freefem):
         text, _, fix = obstacle.partition(": ")
         return Check(name, False, f"{text}; {_WITHOUT}", needed=False, fix=fix)
     try:
         for source in sorted((resource_folder("solvers") / "freefem").rglob("*.cpp")):
-            ff.compile_plugin(freefem, source, flags=PLUGIN_FLAGS)
+            plugins.compile_plugin(freefem, source, flags=PLUGIN_FLAGS)
     except SolverMissingError as error:
         return Check(name, False, f"{error}; {_WITHOUT}", needed=False, fix=ff.INSTALL)
     return Check(name, True, f"{freefem.compiler}, kept in {compiled.cache_folder()}")

@@ -9,7 +9,8 @@ import numpy as np
 from lacli.base.errors import AnatomyError
 from lacli.contracts import bundle as bundles
 from lacli.contracts.bundle import Bundle
-from lacli.contracts.case import Case, Phase, Plan, as_order, motion_as_order
+from lacli.contracts.case import Case, Phase, Plan
+from lacli.contracts.identity import run_key
 from lacli.contracts.labels import EPI, REGIONS, RINGS, is_body
 from lacli.contracts.motion import Motion
 from lacli.contracts.scene import MMHG_KPA, Scene
@@ -19,10 +20,11 @@ from lacli.motion.annulus import scene_motion
 def prepare(scene: Scene) -> Case:
     """The scene with its bundle, motion and plan, read and checked. Raises AnatomyError, InputError."""
     whole = bundles.load(scene.anatomy.bundle)
+    bundle = bundles.as_order(whole, scene.numerics.order)
     motion = scene_motion(scene, whole)
-    order = scene.numerics.order
-    bundle = as_order(whole, order)
-    return Case(scene, bundle, motion_as_order(motion, whole, order), make_plan(scene, bundle, motion))
+    if motion is not None and bundle.order != whole.order:
+        motion = motion.of_points(np.unique(whole.tets[:, :4]))
+    return Case(scene, bundle, motion, make_plan(scene, bundle, motion), run_key(scene))
 
 
 def make_plan(scene: Scene, bundle: Bundle, motion: Motion | None) -> Plan:

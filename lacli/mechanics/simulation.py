@@ -12,8 +12,9 @@ from lacli.base.errors import InputError, SimulationError, StorageError, UsageEr
 from lacli.base.files import check_folder, write_json, write_text
 from lacli.contracts.case import Case
 from lacli.contracts.identity import run_key
-from lacli.contracts.scene import Scene, dump_scene, load_scene
-from lacli.freefem import program as freefem
+from lacli.contracts.scene import Scene, load_scene
+from lacli.freefem.program import find
+from lacli.freefem.run import Outcome
 from lacli.mechanics import deck, results, sensitivities
 from lacli.mechanics.accuracy import known_errors
 from lacli.mechanics.deck import Deck, OnProgress
@@ -21,7 +22,7 @@ from lacli.mechanics.plan import prepare
 from lacli.mechanics.store import OpenRun, StoredRun, check_products, open_run
 
 _WRITTEN = "deck.json"  # the key of a deck that is run by hand
-_PRODUCTS = ("scene.toml", deck.SCRIPT, "features.json", "transients.csv")
+_PRODUCTS = (deck.SCENE, deck.SCRIPT, "features.json", "transients.csv")
 
 
 @dataclass(frozen=True)
@@ -43,29 +44,30 @@ def run_scene(scene: Scene, root: Path, on_progress: OnProgress | None = None) -
     Raises AnatomyError, SceneError, SolverMissingError, StorageError.
     """
     case = prepare(scene)
-    with open_run(root, scene) as run:
+    with open_run(root, case.key) as run:
         if run.stored is None:
             written = deck.write(case, run.folder)
-            _keep(run, case, written, deck.run(written, scene.numerics.timeout_s, on_progress))
-        assert run.stored is not None
-        return _result(run.stored, scene)
+            outcome = deck.run(written, on_progress)
+            _keep(run, case, written, outcome)
+    assert run.stored is not None
+    return _result(run.stored, case)
 
 
-def _result(stored: StoredRun, scene: Scene) -> RunResult:
+def _result(stored: StoredRun, case: Case) -> RunResult:
     features: dict[str, Any] = dict(stored.features()) if stored.status == "done" else {}
     # looked up now, not kept with the run: they may have been measured since
-    if features and (errors := known_errors(scene)):
+    if features and (errors := known_errors(case.scene)):
         features["discretisation_error"] = errors
     return RunResult(stored.key, stored.folder, stored.status, stored.kind, stored.message, features, stored.manifest)
 
 
-def _keep(run: OpenRun, case: Case, written: Deck, outcome: freefem.Outcome) -> None:
+def _keep(run: OpenRun, case: Case, written: Deck, outcome: Outcome) -> None:
     """Read what the deck left, write the products beside it, and give the run its name."""
     usage: dict[str, Any] = {
         "cpu_s": outcome.cpu_s,
         "peak_memory_mb": outcome.peak_memory_mb,
         "engine": written.engine,
-        "versions": {"freefem": freefem.find().version},
+        "versions": {"freefem": find().version},
     }
     if outcome.kind is not None and not (outcome.kind == "timeout" and results.stand(run.folder)):
         results.keep_last_state(case, run.folder)
@@ -106,8 +108,7 @@ def write_by_hand(scene: Scene, folder: Path) -> Path:
         raise StorageError(f"{folder}: is not empty; choose a new folder for the deck.")
     case = prepare(scene)
     folder.mkdir(parents=True, exist_ok=True)
-    write_text(folder / "scene.toml", dump_scene(scene))
-    write_json(folder / _WRITTEN, {"key": run_key(scene)})
+    write_json(folder / _WRITTEN, {"key": case.key})
     deck.write(case, folder)
     script = folder / "run.sh"
     write_text(script, deck.shell_script())
@@ -139,7 +140,7 @@ def rerun(folder: Path, on_progress: OnProgress | None = None) -> tuple[dict[str
     case = prepare(scene)
     with tempfile.TemporaryDirectory(prefix=".rerun-", dir=folder.parent) as name:
         place = Path(name)
-        outcome = deck.run(deck.write(case, place), scene.numerics.timeout_s, on_progress)
+        outcome = deck.run(deck.write(case, place), on_progress)
         if outcome.kind is not None and not results.stand(place):
             raise SimulationError(outcome.kind, f"{folder}: the second run failed ({outcome.kind}): {outcome.message}")
         after, _ = collect(case, place, cpu_s=outcome.cpu_s, peak_memory_mb=outcome.peak_memory_mb)
@@ -152,7 +153,7 @@ def _scene_of(folder: Path, record: str) -> Scene:
         key = read_json(folder / record)["key"]
     except (InputError, KeyError, TypeError) as error:
         raise InputError(f"{folder}: no run of lacli, {record} is missing or damaged ({error}).") from error
-    scene = load_scene(folder / "scene.toml")
+    scene = load_scene(folder / deck.SCENE)
     if run_key(scene) != key:
         raise UsageError(
             f"{folder}: scene.toml, the bundle {scene.anatomy.bundle} or lacli's solver are no longer what this run was made of "

@@ -26,12 +26,11 @@ import numpy as np
 
 from lacli.base.documents import read_json
 from lacli.base.errors import InputError, StorageError
-from lacli.base.files import room, storing, write_json, write_text
+from lacli.base.files import room, storing, write_json
 from lacli.base.processes.locks import lock
 from lacli.base.version import __version__
 from lacli.contracts.failures import of_the_machine
-from lacli.contracts.identity import file_digest, run_key
-from lacli.contracts.scene import Scene, dump_scene
+from lacli.contracts.identity import file_digest
 
 _logger = logging.getLogger(__name__)
 _ALWAYS_READ = 1 << 18  # bytes; a smaller product's content is compared whenever its run is found (0.2 ms)
@@ -125,14 +124,13 @@ class OpenRun:
 
 
 @contextlib.contextmanager
-def open_run(root: Path, scene: Scene, *, retry_failed: bool = False) -> Iterator[OpenRun]:
-    """Lock the scene's key below ``root`` and give a folder to write into, ``scene.toml`` already in it.
+def open_run(root: Path, key: str, *, retry_failed: bool = False) -> Iterator[OpenRun]:
+    """Lock the key (``lacli.contracts.identity.run_key``) below ``root`` and give an empty folder to write into.
 
     If the run has ended before, ``stored`` is set and nothing is to be done. Failed runs count as ended, or none of them
     with ``retry_failed``. A second process waits here until the first has finished.
     A block that ends without ``finish`` (an error, Ctrl-C) leaves nothing; a full disk becomes StorageError.
     """
-    key = run_key(scene)
     with storing(root):
         (root / ".locks").mkdir(parents=True, exist_ok=True)
     with room(root / key), lock(root / ".locks" / key, "which does the same simulation"):
@@ -147,7 +145,6 @@ def open_run(root: Path, scene: Scene, *, retry_failed: bool = False) -> Iterato
         with storing(run.folder):
             run.folder.mkdir()
         try:
-            write_text(run.folder / "scene.toml", dump_scene(scene))
             yield run
         finally:
             if run.stored is None:

@@ -18,7 +18,7 @@ from scipy.sparse import csr_array
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import AnatomyError, LacliError
 from lacli.contracts.scene import Scene, build_scene, with_parameters
-from lacli.freefem.program import Progress
+from lacli.freefem.run import Progress
 from lacli.mechanics.simulation import run_scene
 
 GRID_MM = 3.0

@@ -7,8 +7,7 @@ from scipy.integrate import quad
 from scipy.linalg import expm
 
 from lacli.base.errors import SimulationError
-from lacli.contracts.bundle import Bundle
-from lacli.contracts.case import as_order
+from lacli.contracts.bundle import Bundle, as_order
 from lacli.verification import meshes
 from lacli.verification.equilibria import SPHERE_C, SPHERE_RADII, clamp, on_planes
 from lacli.verification.forms import STEADIED, TISSUE, TOLERANCE, distorted_box, disturbed

@@ -21,9 +21,9 @@ import lacli
 from lacli.api import progress as api_progress
 from lacli.base import arrays
 from lacli.contracts.bundle import save
-from lacli.contracts.identity import Identity
+from lacli.contracts.identity import Identity, run_key
 from lacli.contracts.tables.table import combine
-from lacli.freefem.program import Progress as SolverProgress
+from lacli.freefem.run import Progress as SolverProgress
 from lacli.mechanics import simulation
 from lacli.mechanics.store import open_run
 
@@ -65,7 +65,7 @@ def test_the_import_is_light_and_names_are_found() -> None:
 @pytest.fixture
 def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> lacli.Scene:
     def run(scene: lacli.Scene, root: Path, on_progress: Callable[[Any], None] | None = None) -> Any:
-        with open_run(root, scene) as run:
+        with open_run(root, run_key(scene)) as run:
             if run.stored is None:
                 assert on_progress is not None
                 for load in (0.25, 0.5, 1.0):

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from lacli.base.errors import SolverMissingError
 from lacli.cli.main import build
+from lacli.freefem import plugins
 from lacli.freefem import program as ff
 from lacli.freefem.program import FreeFem
 from lacli.mechanics import installation
@@ -65,7 +66,7 @@ def test_reference_blas_and_a_missing_compiler_are_advice(freefem: FreeFem, monk
 
 def test_only_freefems_kernels_are_compiled_as_its_plugins(freefem: FreeFem, monkeypatch: pytest.MonkeyPatch) -> None:
     sources: list[str] = []
-    monkeypatch.setattr(ff, "compile_plugin", lambda freefem, source, flags: sources.append(source.name))
+    monkeypatch.setattr(plugins, "compile_plugin", lambda freefem, source, flags: sources.append(source.name))
     assert installation._compiler(freefem).ok
     assert sources == ["lacli.cpp"]
 

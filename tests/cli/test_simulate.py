@@ -18,8 +18,9 @@ from lacli.base.files import write_json
 from lacli.cli.main import build
 from lacli.cli.terminal.live import describe
 from lacli.contracts.bundle import save
+from lacli.contracts.identity import run_key
 from lacli.contracts.scene import Scene, build_scene
-from lacli.freefem.program import Progress
+from lacli.freefem.run import Progress
 from lacli.mechanics import cost
 from lacli.mechanics.store import open_run
 
@@ -37,7 +38,7 @@ class Result:
 
 def run_scene(scene: Scene, root: Path, on_progress: Callable[[Any], None] | None = None) -> Result:
     """Fails above 30 mmHg."""
-    with open_run(root, scene) as run:
+    with open_run(root, run_key(scene)) as run:
         if run.stored is None:
             assert on_progress is not None
             on_progress(Progress(phase="unload", load=0.5))

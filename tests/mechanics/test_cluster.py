@@ -21,6 +21,7 @@ import pytest
 
 from lacli.base.errors import LacliError, StorageError, UsageError
 from lacli.base.processes.process import supervise
+from lacli.contracts.identity import run_key
 from lacli.contracts.scene import Scene, dump_scene
 from lacli.mechanics.execute import run_scenes
 from lacli.mechanics.store import list_runs, open_run
@@ -46,7 +47,7 @@ class Result:
 def busy(scene: Scene, root: Path, on_progress: Callable[[Any], None] | None = None) -> Result:
     """A run whose child, in FreeFEM's place, takes 10 s per mmHg of EDP; 1: the disk is full, 2: it takes its worker along."""
     edp = scene.loads.edp_mmhg
-    with open_run(root, scene) as run:
+    with open_run(root, run_key(scene)) as run:
         if run.stored is None:
             if on_progress is not None:
                 on_progress({"load": edp})

@@ -15,12 +15,12 @@ from lacli.anatomy.wall.shell import mesh_shell
 from lacli.base import resources
 from lacli.base.errors import SolverMissingError
 from lacli.contracts import bundle as bundles
-from lacli.contracts.bundle import Bundle
-from lacli.contracts.case import Case, as_order
+from lacli.contracts.bundle import Bundle, as_order
+from lacli.contracts.case import Case
 from lacli.contracts.labels import EPI, RINGS
 from lacli.contracts.scene import Scene, build_scene
-from lacli.freefem import program as freefem
-from lacli.freefem.program import FreeFem
+from lacli.freefem import run as running
+from lacli.freefem.program import FreeFem, find
 from lacli.mechanics import engine, inputs, plan, simulation
 from lacli.motion.annulus import scene_motion
 
@@ -126,12 +126,12 @@ def disturbed(ball: Bundle, folder: Path, place: Path, order: int, points: int, 
     settings = scene(folder, f"numerics.order={order}", "materials.plane_c_kpa=3")
     work = as_order(ball, order)
     motion = scene_motion(settings, work)
-    inputs.write_inputs(Case(settings, work, motion, plan.make_plan(settings, work, motion)), place)
+    inputs.write_inputs(Case(settings, work, motion, plan.make_plan(settings, work, motion), key=""), place)
     load = f'load "{engine.plugin().with_suffix("")}"' if chosen == "plugin" else ""
     text = DISTURBED.replace("LOAD", load).replace("PORDER", f"P{order}").replace("POINTS", str(points))
     script = place / f"{chosen}.edp"
     script.write_text(text.replace("ENGINE", chosen), encoding="utf-8")
-    outcome = freefem.run(freefem.find(), script, place, 120, includes=(SOLVERS,))
+    outcome = running.run(find(), script, place, 120, includes=(SOLVERS,))
     assert outcome.done, outcome.message
     return np.loadtxt(place / f"{chosen}.txt")
 
@@ -206,7 +206,7 @@ def test_what_mumps_says_when_it_fails_is_a_kind_of_failure(freefem: FreeFem, tm
         'set(A, solver = "MUMPS");\nx = A ^ -1 * b;\ncout << "@ done" << endl;\n',
         encoding="utf-8",
     )
-    outcome = simulation.freefem.run(freefem, script, tmp_path, 60)
+    outcome = running.run(freefem, script, tmp_path, 60)
     # MUMPS' error -10: numerically singular
     assert (outcome.kind, outcome.done) == ("linear_solver", False)
     assert "-10" in outcome.message

@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 
 from lacli.base.errors import MachineError, StorageError, UsageError
+from lacli.contracts.identity import run_key
 from lacli.contracts.scene import Scene, dump_scene
 from lacli.mechanics import execute
 from lacli.mechanics.execute import run_scenes
@@ -42,7 +43,7 @@ def stored(scene: Scene, root: Path, on_progress: Callable[[Any], None] | None =
     """EDP up to 3: waits EDP x 0.1 s; 4: fails; 5: the disk is full; 6: the process is shot; 7: a bug; 8: hangs; at its first
     time 9: is shot, 10: has no memory, 11: its FreeFEM is killed when it is tried."""
     edp = scene.loads.edp_mmhg
-    with open_run(root, scene) as run:
+    with open_run(root, run_key(scene)) as run:
         if run.stored is None:
             first = root / f"first-{edp}"
             if edp > 8 and not first.exists():
@@ -125,7 +126,7 @@ def test_closing_the_iterator_ends_the_workers_cleanly(scene_of: SceneOf, tmp_pa
     root = tmp_path / "runs"
     series = run_scenes(scenes(scene_of, 0.1, 8), root, workers=2, task=stored)
     assert next(iter(series))[0] == 0
-    wait_for(lambda: list(root.glob(".tmp-*/scene.toml")))
+    wait_for(lambda: list(root.glob(".tmp-*")))
     series.close()  # type: ignore[attr-defined]
     assert len(list_runs(root)) == 1
     assert not list(root.glob(".tmp-*")), "the hanging run has cleaned up after itself"
@@ -156,7 +157,7 @@ def test_interrupted_or_killed_series_leaves_no_process(scene_of: SceneOf, tmp_p
         assert main.stdout.readline() == "0\n"
         workers = Path(f"/proc/{main.pid}/task/{main.pid}/children").read_text().split()
         assert len(workers) >= 2
-        wait_for(lambda: list(root.glob(".tmp-*/scene.toml")))  # the second has begun
+        wait_for(lambda: list(root.glob(".tmp-*")))  # the second has begun
         main.send_signal(how)
         main.communicate(timeout=20)
     wait_for(lambda: all(state(pid) == "Z" for pid in workers))

@@ -21,7 +21,9 @@ from hypothesis import strategies as st
 from lacli.base.errors import MachineError, SolverMissingError
 from lacli.base.processes import process
 from lacli.freefem import program as ff
-from lacli.freefem.program import FreeFem, build_plugin, find, parse_progress, parse_stop, run
+from lacli.freefem.plugins import compile_plugin, plugin_obstacle
+from lacli.freefem.program import FreeFem, find
+from lacli.freefem.run import parse_progress, parse_stop, run
 
 SPEAK = 'cout << "@ progress phase=load load=0.5 step=0.1 newton=2 residual=1e-3 minj=0.9" << endl; cout.flush;\n'
 BUSY = SPEAK + "while (true) clock();\n"
@@ -96,7 +98,8 @@ def test_a_file_larger_than_allowed_is_no_kill(freefem: FreeFem, tmp_path: Path)
     text = '{ ofstream f("big.txt"); for (int i = 0; i < 40000; i++) f << i << endl; }\n' + DONE
     file = script(tmp_path, text)
     code = (
-        "import resource; from pathlib import Path; from lacli.freefem.program import find, run; freefem = find();"
+        "import resource; from pathlib import Path; from lacli.freefem.program import find;"
+        "from lacli.freefem.run import run; freefem = find();"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 15, 1 << 15));"
         f"outcome = run(freefem, Path({str(file)!r}), Path({str(tmp_path)!r}), 60); print(outcome.kind, outcome.message)"
     )
@@ -191,7 +194,7 @@ def test_kill_9_of_freefem_is_named(freefem: FreeFem, tmp_path: Path) -> None:
 def test_kill_9_of_lacli_leaves_no_orphan(freefem: FreeFem, tmp_path: Path) -> None:
     file = script(tmp_path, BUSY)
     code = (
-        "from pathlib import Path; from lacli.freefem.program import find, run;"
+        "from pathlib import Path; from lacli.freefem.program import find; from lacli.freefem.run import run;"
         f"run(find(), Path({str(file)!r}), Path({str(tmp_path)!r}), 60)"
     )
     with subprocess.Popen([sys.executable, "-c", code]) as lacli:
@@ -264,7 +267,7 @@ LOADFUNC(Load_Init)
 
 @pytest.fixture
 def compiling(freefem: FreeFem) -> FreeFem:
-    if reason := ff.plugin_obstacle(freefem):
+    if reason := plugin_obstacle(freefem):
         pytest.skip(reason)
     return freefem
 
@@ -275,32 +278,29 @@ def test_plugin_is_built_once_even_if_asked_for_twice_at_once(compiling: FreeFem
     cache = tmp_path / "cache"
     barrier = threading.Barrier(2)
 
-    def ask(_: int) -> Path | None:
+    def ask(_: int) -> Path:
         barrier.wait()
-        return build_plugin(compiling, source, cache)
+        return compile_plugin(compiling, source, cache)
 
     with ThreadPoolExecutor(2) as pool:
         first, second = pool.map(ask, range(2))
-    assert first is not None
     assert first == second
     assert [path.name for path in cache.iterdir()] == [first.parent.name], "temporary folders are gone"
     built = first.stat().st_mtime_ns
-    assert build_plugin(compiling, source, cache) == first
+    assert compile_plugin(compiling, source, cache) == first
     assert first.stat().st_mtime_ns == built
     text = f'load "{first.with_suffix("")}"\ncout << "@ value " << triple(14.) << endl;\n' + DONE
     assert "@ value 42" in run(compiling, script(tmp_path, text), tmp_path, 30).last_lines
 
 
-def test_plugin_that_cannot_be_built_gives_none_and_a_reason(
-    compiling: FreeFem, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_plugin_that_cannot_be_built_says_why(compiling: FreeFem, tmp_path: Path) -> None:
     source = tmp_path / "wrong.cpp"
     source.write_text("int x = ;\n")
-    assert build_plugin(compiling, source, tmp_path / "cache") is None
-    assert "wrong.cpp does not compile" in caplog.text
+    with pytest.raises(SolverMissingError, match=r"wrong\.cpp does not compile"):
+        compile_plugin(compiling, source, tmp_path / "cache")
     no_compiler = FreeFem(**{**compiling.__dict__, "compiler": None})
-    assert build_plugin(no_compiler, source, tmp_path / "cache") is None
-    assert "apt-get install -y g++" in caplog.text
+    with pytest.raises(SolverMissingError, match=r"apt-get install -y g\+\+"):
+        compile_plugin(no_compiler, source, tmp_path / "cache")
 
 
 def test_progress_line() -> None:

@@ -14,11 +14,11 @@ from lacli.anatomy.surface_features import cavity_volume_ml, surface_features
 from lacli.anatomy.wall.shell import mesh_shell
 from lacli.base.errors import AnatomyError, InputError, SceneError, SimulationError, StorageError, UsageError
 from lacli.contracts import bundle as bundles
-from lacli.contracts.bundle import Bundle
-from lacli.contracts.case import Case, as_order
+from lacli.contracts.bundle import Bundle, as_order
+from lacli.contracts.case import Case
 from lacli.contracts.motion import save_motion
 from lacli.contracts.scene import Scene, build_scene
-from lacli.freefem import program as freefem
+from lacli.freefem import run as freefem
 from lacli.mechanics import deck, inputs, plan, simulation
 from lacli.mechanics.features import regional_extras
 from lacli.motion.annulus import scene_motion
@@ -90,7 +90,7 @@ def test_a_term_left_out_equals_a_term_of_zero(folder: Path, ball: Bundle, tmp_p
     for name, terms in (("without", without), ("zero", replace(without, pericardium=True))):
         place = tmp_path / name
         place.mkdir()
-        outcome = deck.run(deck.write(Case(chosen, work, None, terms), place), 120)
+        outcome = deck.run(deck.write(Case(chosen, work, None, terms, key=""), place))
         assert outcome.done, outcome.message
         table = np.loadtxt(place / "es.txt")
         volumes.append((cavity_volume_ml(work, table[:, :3]), table[:, :3]))

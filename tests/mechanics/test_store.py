@@ -32,7 +32,7 @@ def visible(root: Path) -> list[str]:
 
 
 def finished(root: Path, scene: Scene, **how: str) -> store.StoredRun:
-    with open_run(root, scene) as run:
+    with open_run(root, run_key(scene)) as run:
         assert run.stored is None
         write_json(run.folder / "features.json", {"edv_ml": 80.5})
         return run.finish(**how)  # type: ignore[arg-type]
@@ -102,10 +102,10 @@ def test_finished_run_is_found_and_not_run_again(scene_of: SceneOf, tmp_path: Pa
     scene, root = scene_of(), tmp_path / "runs"
     stored = finished(root, scene)
     assert visible(root) == [run_key(scene)]
-    assert sorted(stored.manifest["products"]) == ["features.json", "scene.toml"]
+    assert sorted(stored.manifest["products"]) == ["features.json"]
     assert stored.manifest["versions"]["lacli"]
     assert stored.features() == {"edv_ml": 80.5}
-    with open_run(root, scene) as again:
+    with open_run(root, run_key(scene)) as again:
         assert again.stored == stored
     assert list_runs(root) == [stored]
     assert not any((root / ".locks").iterdir())
@@ -122,20 +122,20 @@ def test_run_without_its_products_is_not_complete(scene_of: SceneOf, tmp_path: P
 
 
 def test_promised_product_must_exist(scene_of: SceneOf, tmp_path: Path) -> None:
-    with pytest.raises(StorageError, match=r"transients\.csv was not written"), open_run(tmp_path, scene_of()) as run:
+    with pytest.raises(StorageError, match=r"transients\.csv was not written"), open_run(tmp_path, run_key(scene_of())) as run:
         run.finish(products=["transients.csv"])
 
 
 def test_failed_run_stays_and_counts(scene_of: SceneOf, tmp_path: Path) -> None:
     scene, root = scene_of(), tmp_path / "runs"
-    with open_run(root, scene) as run:
+    with open_run(root, run_key(scene)) as run:
         (run.folder / "state_0007.txt").write_text("last good state")
         run.finish("failed", kind="load_step_underflow", message="at load 0.7")
-    with open_run(root, scene) as again:
+    with open_run(root, run_key(scene)) as again:
         assert again.stored is not None
         assert (again.stored.status, again.stored.kind) == ("failed", "load_step_underflow")
         assert (again.stored.folder / "state_0007.txt").is_file()
-    with open_run(root, scene, retry_failed=True) as retry:
+    with open_run(root, run_key(scene), retry_failed=True) as retry:
         assert retry.stored is None
         retry.finish()
     assert [run.status for run in list_runs(root)] == ["done"]
@@ -144,7 +144,7 @@ def test_failed_run_stays_and_counts(scene_of: SceneOf, tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", sorted(MACHINE))
 def test_failures_of_the_machine_are_told_and_not_kept(scene_of: SceneOf, tmp_path: Path, kind: str) -> None:
     root, scene = tmp_path / "runs", scene_of()
-    with open_run(root, scene) as run:
+    with open_run(root, run_key(scene)) as run:
         (run.folder / "half.txt").write_text("half")
         told = run.finish("failed", kind=kind, message="why")
     assert (told.status, told.kind, told.message) == ("failed", kind, "why")
@@ -158,14 +158,14 @@ def test_failures_of_the_machine_are_told_and_not_kept(scene_of: SceneOf, tmp_pa
 
 
 def test_a_status_needs_its_kind(scene_of: SceneOf, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="failed with a kind"), open_run(tmp_path, scene_of()) as run:
+    with pytest.raises(ValueError, match="failed with a kind"), open_run(tmp_path, run_key(scene_of())) as run:
         run.finish("failed")
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError])
 def test_interruption_leaves_nothing(scene_of: SceneOf, tmp_path: Path, error: type[BaseException]) -> None:
     root = tmp_path / "runs"
-    with pytest.raises(error), open_run(root, scene_of()) as run:
+    with pytest.raises(error), open_run(root, run_key(scene_of())) as run:
         (run.folder / "half.txt").write_text("half")
         raise error
     assert visible(root) == []
@@ -174,9 +174,10 @@ def test_interruption_leaves_nothing(scene_of: SceneOf, tmp_path: Path, error: t
 HOLD = """
 import sys, time
 from pathlib import Path
+from lacli.contracts.identity import run_key
 from lacli.contracts.scene import load_scene
 from lacli.mechanics.store import open_run
-with open_run(Path(sys.argv[1]), load_scene(Path(sys.argv[2]))) as run:
+with open_run(Path(sys.argv[1]), run_key(load_scene(Path(sys.argv[2])))) as run:
     print("stored" if run.stored else "open", flush=True)
     if run.stored is None:
         time.sleep(float(sys.argv[3]))
@@ -240,7 +241,7 @@ def test_full_disk_is_one_message_and_leaves_nothing_half(scene_of: SceneOf, sma
     root = small_disk / "runs"
     scene = scene_of()
     kept = finished(root, scene_of("loads.edp_mmhg=1"))
-    with pytest.raises(StorageError, match="the disk is full"), open_run(root, scene) as run:
+    with pytest.raises(StorageError, match="the disk is full"), open_run(root, run_key(scene)) as run:
         (run.folder / "fields.bin").write_bytes(os.urandom(1 << 18))
     assert visible(root) == [kept.key]
     assert find_run(root, kept.key) == kept
@@ -251,7 +252,7 @@ def test_full_disk_is_one_message_and_leaves_nothing_half(scene_of: SceneOf, sma
 
 def test_place_that_cannot_be_written(scene_of: SceneOf, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(StorageError, match="in the way"), open_run(tmp_path / "file", scene_of()):
+    with pytest.raises(StorageError, match="in the way"), open_run(tmp_path / "file", run_key(scene_of())):
         pass
 
 
@@ -297,7 +298,7 @@ def test_atomic_text_keeps_the_old_one_on_error(tmp_path: Path) -> None:
 
 
 def test_times_are_recorded(scene_of: SceneOf, tmp_path: Path) -> None:
-    with open_run(tmp_path / "runs", scene_of()) as run:
+    with open_run(tmp_path / "runs", run_key(scene_of())) as run:
         time.sleep(0.05)
         stored = run.finish(cpu_s=1.5, seeds={"sobol": 3}, versions={"freefem": "4.9"})
     assert 0.05 <= stored.manifest["wall_s"] < 5

@@ -14,7 +14,8 @@ from typer.testing import CliRunner
 from lacli.base import resources
 from lacli.base.errors import SimulationError, UsageError
 from lacli.cli.main import build
-from lacli.freefem.program import FreeFem, compile_plugin
+from lacli.freefem.plugins import compile_plugin
+from lacli.freefem.program import FreeFem
 from lacli.mechanics.engine import PLUGIN_FLAGS
 from lacli.verification import equilibria as verification_equilibria
 from lacli.verification import forms as verification_forms

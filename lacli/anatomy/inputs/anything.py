@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lacli.anatomy.inputs import carp, repair, solid
+from lacli.anatomy.inputs import carp, solid, surfacefile
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import InputError
 
@@ -29,7 +29,7 @@ class Mesh:
 
 def is_mesh(path: Path) -> bool:
     """Whether the name ends as a mesh file's does."""
-    return path.name.removesuffix(".gz").endswith((".elem", ".pts")) or path.suffix.lower() in repair.SUFFIXES
+    return path.name.removesuffix(".gz").endswith((".elem", ".pts")) or path.suffix.lower() in surfacefile.SUFFIXES
 
 
 def read(path: Path) -> Mesh:
@@ -43,12 +43,12 @@ def read(path: Path) -> Mesh:
     grid = _tetrahedra(path)
     if grid is not None:
         return _wall(*grid)
-    points, triangles = repair.read(path)
+    points, triangles = surfacefile.read(path)
     return Mesh(points, triangles, _tags(path, len(triangles)))
 
 
 def _wall(points: FloatArray, tets: IntArray, tag: IntArray) -> Mesh:
-    scale, _ = repair.unit_scale(points[np.unique(tets)])
+    scale, _ = surfacefile.unit_scale(points[np.unique(tets)])
     triangles, tags, outer = solid.shells(points * scale, tets, tag)
     words = f"{len(tets)} tetrahedra: their inner and outer sides are taken, and the wall between them meshed anew"
     return Mesh(points, triangles, tags, (words,), outer)

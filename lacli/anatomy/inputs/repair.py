@@ -1,22 +1,20 @@
-"""Surfaces as other tools write them: read, put in millimetres, cleaned, closed; everything done is said."""
+"""Surfaces as other tools write them: put in millimetres, cleaned, closed; everything done is said."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
-from scipy import ndimage
 
-from lacli.anatomy.inputs.image import Image
+from lacli.anatomy.inputs.surfacefile import unit_scale
+from lacli.anatomy.inputs.voxels import from_voxels
 from lacli.anatomy.openings import clipping, closing
 from lacli.anatomy.openings.candidate import RIM, Candidate, area_vector, of_ring
 from lacli.base.arrays import FloatArray, IntArray
-from lacli.base.errors import AnatomyError, InputError
+from lacli.base.errors import AnatomyError
 from lacli.geometry import curves as paths
 from lacli.geometry.surface import Surface, compact, defects, nearest
 
-SUFFIXES = (".vtp", ".vtk", ".stl", ".ply", ".obj", ".vtu")
 MANY_TRIANGLES = 400_000
 MANY_HOLES = 300
 FEW_BAD_EDGES = 60  # non-manifold edges: so many are mended, with more the surface is rebuilt
@@ -33,68 +31,6 @@ class Repaired:
     notes: tuple[str, ...]
     scale: float
     outer: Surface | None = None
-
-
-def read(path: Path) -> tuple[FloatArray, IntArray]:
-    """Points (n, 3) and triangles (t, 3) of a surface file; other polygons are cut in triangles.
-
-    Raises InputError where the file is missing, damaged, or holds no triangle.
-    """
-    import pyvista as pv
-    import vtk
-
-    if not path.is_file():
-        raise InputError(f"{path}: no such file.")
-    if path.stat().st_size == 0:
-        raise InputError(f"{path}: the file is empty; export it again.")
-    vtk.vtkObject.GlobalWarningDisplayOff()
-    verbosity = vtk.vtkLogger.GetCurrentVerbosityCutoff()
-    vtk.vtkLogger.SetStderrVerbosity(vtk.vtkLogger.VERBOSITY_OFF)  # some readers warn past the switch above
-    try:
-        data = pv.read(path)
-        if not isinstance(data, pv.PolyData):
-            data = data.extract_surface(algorithm="dataset_surface")
-        data = data.triangulate()
-        points = np.asarray(data.points, dtype=np.float64)
-        faces = data.regular_faces if data.n_cells else np.zeros((0, 3))
-    except Exception as error:  # readers raise all sorts of things on damaged files
-        raise InputError(
-            f"{path}: the surface cannot be read, the file may be truncated or of another format "
-            f"({type(error).__name__}: {str(error)[:200]})."
-        ) from None
-    finally:
-        vtk.vtkLogger.SetStderrVerbosity(vtk.vtkLogger.ConvertToVerbosity(verbosity))
-    triangles = np.asarray(faces, dtype=np.int64).reshape(-1, 3)
-    if len(triangles) == 0 or len(points) == 0:
-        raise InputError(f"{path}: the file holds no triangles; it may be truncated, or hold points or lines only.")
-    if triangles.min() < 0 or triangles.max() >= len(points):
-        raise InputError(f"{path}: a triangle names a point that does not exist; export the file again.")
-    return points, triangles
-
-
-UNITS = {"mm": (1.0, "millimetres"), "um": (1e-3, "micrometres"), "m": (1e3, "metres"), "cm": (10.0, "centimetres")}
-
-
-def unit_scale(points: FloatArray, unit: str | None = None) -> tuple[float, str]:
-    """Factor to millimetres and a sentence about it: of the ``unit`` given (of UNITS), else from the size, an atrium with its
-    veins being 4 - 25 cm wide.
-
-    Raises AnatomyError where the size fits no unit, or not the one given.
-    """
-    width = float(np.ptp(points, axis=0).max())
-    if unit is not None:
-        factor, name = UNITS[unit]
-        if not 25.0 <= width * factor <= 400.0:
-            raise AnatomyError(
-                f"the surface is {width:.4g} units wide: in {name} that is {width * factor:.4g} mm, no left atrium; "
-                "leave --unit out, and it is told from the size."
-            )
-        return factor, "" if factor == 1.0 else f"lengths in {name}, as said, were scaled to mm"
-    for factor, unit in UNITS.values():
-        if 25.0 <= width * factor <= 400.0:
-            words = "" if factor == 1.0 else f"the surface is {width:.4g} units wide: taken as {unit}, scaled to mm"
-            return factor, words
-    raise AnatomyError(f"the surface is {width:.4g} units wide, which is no left atrium in mm, micrometres, cm or m; rescale it.")
 
 
 def repair(points: FloatArray, triangles: IntArray, unit: str | None = None, outside: IntArray | None = None) -> Repaired:
@@ -144,37 +80,6 @@ def repair(points: FloatArray, triangles: IntArray, unit: str | None = None, out
     surface = from_voxels(points, triangles)
     notes.append("the triangles did not make a closed surface: it was rebuilt from voxels of 0.5 mm")
     return Repaired(surface, tuple(_outward(replace(r, cap=0), surface) for r in rims), tuple(notes), scale, outer)
-
-
-def voxels(surface: Surface, spacing_mm: float) -> Image:
-    """1 inside a closed surface and 0 outside (float32), on an isotropic grid with a margin."""
-    import vtk
-    from vtk.util.numpy_support import vtk_to_numpy
-
-    from lacli.anatomy.pictures import polydata
-
-    margin = int(np.ceil(6.0 / spacing_mm))
-    low = surface.points.min(axis=0) - margin * spacing_mm
-    size = np.ceil(np.ptp(surface.points, axis=0) / spacing_mm).astype(int) + 2 * margin
-    stencil = vtk.vtkPolyDataToImageStencil()
-    stencil.SetInputData(polydata(surface))
-    stencil.SetOutputSpacing(spacing_mm, spacing_mm, spacing_mm)
-    stencil.SetOutputOrigin(*low)
-    stencil.SetOutputWholeExtent(0, int(size[0]) - 1, 0, int(size[1]) - 1, 0, int(size[2]) - 1)
-    paint = vtk.vtkImageStencilToImage()
-    paint.SetInputConnection(stencil.GetOutputPort())
-    paint.SetInsideValue(1)
-    paint.SetOutsideValue(0)
-    paint.SetOutputScalarTypeToUnsignedChar()
-    paint.Update()
-    array = vtk_to_numpy(paint.GetOutput().GetPointData().GetScalars()).reshape(size[::-1]).astype(np.float32)
-    return Image(array, np.full(3, spacing_mm), low, np.eye(3))
-
-
-def voxel_field(surface: Surface, spacing_mm: float) -> Image:
-    """A closed surface as a field, about 1 inside and 0 outside, on an isotropic grid."""
-    field = voxels(surface, spacing_mm)
-    return field.with_array(ndimage.gaussian_filter(field.array, 0.7))
 
 
 def _bare(points: FloatArray, triangles: IntArray) -> Surface:
@@ -394,51 +299,3 @@ def _outward(rim: Candidate, surface: Surface) -> Candidate:
     else:
         sense = np.sign((rim.centre - surface.points.mean(axis=0)) @ rim.direction) or 1.0
     return replace(rim, direction=sense * rim.direction)
-
-
-def from_voxels(points: FloatArray, triangles: IntArray, spacing_mm: float = 0.5) -> Surface:
-    """The cavity that triangles enclose up to gaps: walls are thickened until a flood from outside does not get in.
-
-    Gaps up to 6 mm are bridged. Raises AnatomyError where the flood always gets in.
-    """
-    from lacli.anatomy.inputs import extraction
-
-    low = points.min(axis=0) - 10.0
-    size = np.ceil((points.max(axis=0) + 10.0 - low) / spacing_mm).astype(int)
-    if np.prod(size.astype(float)) > 3e8:
-        raise AnatomyError("the surface is too wide to be rebuilt from voxels; remove what lies far from the atrium.")
-    sample = _sample(points, triangles, 0.6 * spacing_mm)
-    wall = np.zeros(size[::-1], dtype=bool)
-    index = np.round((sample - low) / spacing_mm).astype(int)
-    wall[index[:, 2], index[:, 1], index[:, 0]] = True
-    distance = ndimage.distance_transform_edt(~wall) * spacing_mm
-    enclosed_least = 0.2 * float(np.prod(np.ptp(points, axis=0))) / spacing_mm**3
-    for reach in (0.6, 1.0, 1.5, 2.0, 3.0):
-        room, _ = ndimage.label(distance > reach)
-        outside = room == room[0, 0, 0]
-        inside = (distance > reach) & ~outside
-        if inside.sum() > 0.3 * enclosed_least:
-            parts, _ = ndimage.label(inside)
-            inside = parts == 1 + int(np.argmax(np.bincount(parts.ravel())[1:]))
-            # grow back to the wall itself, half of its thickened layer
-            grown = ndimage.distance_transform_edt(~inside) * spacing_mm <= reach
-            mask = Image(grown & ~outside, np.full(3, spacing_mm), low, np.eye(3))
-            return extraction.surface_of(mask, sigma_mm=max(0.8, reach), grid_mm=0.8)
-    raise AnatomyError(
-        "the triangles enclose no cavity, even with gaps up to 6 mm bridged; close the surface in the tool that wrote it."
-    )
-
-
-def _sample(points: FloatArray, triangles: IntArray, step: float) -> FloatArray:
-    """Points on the triangles, at most about ``step`` apart."""
-    a, b, c = (points[triangles[:, i]] for i in range(3))
-    longest = np.max([np.linalg.norm(b - a, axis=1), np.linalg.norm(c - b, axis=1), np.linalg.norm(a - c, axis=1)], axis=0)
-    count = np.minimum(np.ceil(longest / step).astype(int), 400)
-    out = []
-    for n in np.unique(count):
-        mine = count == n
-        i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1))
-        keep = i + j <= n
-        s, t = i[keep] / max(n, 1), j[keep] / max(n, 1)
-        out.append((a[mine][:, None] + s[:, None] * (b - a)[mine][:, None] + t[:, None] * (c - a)[mine][:, None]).reshape(-1, 3))
-    return np.concatenate(out)

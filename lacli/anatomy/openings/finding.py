@@ -52,7 +52,7 @@ def find(
     given = None if given is None else at_caps(given, seen)
     if given is not None and set(OPENINGS) - {"appendage"} <= set(given.openings):
         return Found(given)
-    from lacli.anatomy.inputs.repair import voxel_field
+    from lacli.anatomy.inputs.voxels import voxel_field
 
     field = voxel_field(surface, 1.0) if field is None else field
     skeleton = branches.find(field)

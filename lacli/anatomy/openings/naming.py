@@ -2,7 +2,8 @@
 
 The score is a negative logarithm of likelihood ("nats") summed over independent features. It needs no axes: the atrium is chiral.
 Features and their spread are those of 23 public atria (rule by rule below); known axes and labels of the file add to it. The
-confidence is how much likelier the best reading is than the second best: 1 / (1 + exp(-gap)).
+confidence is the best reading's share of the likelihood of all readings: veins that are missing, common trunks and mirror images
+among them.
 """
 
 from __future__ import annotations
@@ -36,12 +37,18 @@ NO_APPENDAGE = 1.5
 MIRRORED = 5.0
 UNUSED_RIM, UNUSED_BRANCH = 3.0, 1.0
 BETWEEN = (0.0, 0.12)  # how far a middle vein is off the line between its neighbours / width
+BLIND_VEIN = 4.0  # a vein that ends blind where the others of the file are open
+WAYS_TERM = 3.0  # at most, for each: a rim looks where someone's knife went
+POUCH = 0.8  # of a vein's diameter: a blind branch that is wider is no bump
+LATERAL = (0.1, 0.15)  # ln(distance of a blind pouch from the right veins / from the left): it is the appendage, closed
 MISSING = 5.0  # a vein that is not there
 LONE_SIZE = (0.1, 0.2)  # ln(diameter of its mate / mean of the other side's veins): where it is wide it is a trunk
 TRUNK = 2.0  # one atrium in five to ten has one
 TRUNK_ELONGATION = (0.12, 0.08)  # ln(longest diameter / that of its area's circle); single veins have up to 0.56
 TRUNK_SIZE = (0.35, 0.15)  # ln(diameter / mean of the other side's veins): of the area of two veins, ln 1.41
 IN_ITS_PLACE = 0.8  # confidence where an open appendage may stand in for a missing LSPV; below LEAST_CONFIDENCE
+SAME_WAY = (0.52, 0.16)  # cosine of the directions of a side's two veins: 0.35 - 0.77
+ASIDE = (0.08, 0.16)  # cosine of the appendage's direction and the left inferior vein's: -0.1 - 0.25
 AXES = (1.0, 0.3)  # cosine of found with known axes
 SAID = 15.0
 
@@ -60,7 +67,7 @@ class Reading:
 
 @dataclass(frozen=True)
 class Naming:
-    """The best reading, the best that differs from it, and the confidence (0.5 - 1) in the former."""
+    """The best reading, the best that differs from it, and the confidence (0 - 1) in the former."""
 
     best: Reading
     second: Reading | None
@@ -69,9 +76,11 @@ class Naming:
 
 @dataclass(frozen=True)
 class _Places:
-    """What the score needs of candidates: centres (n, 3), diameters (n,), sources, what is said, and mates of split trunks."""
+    """What the score needs of candidates: centres and directions (n, 3), diameters (n,), sources, what is said, and mates of
+    split trunks."""
 
     centre: FloatArray
+    direction: FloatArray
     diameter: FloatArray
     branch: BoolArray
     contact: BoolArray
@@ -93,23 +102,27 @@ def assign(candidates: Sequence[Candidate], axes: Axes | None) -> Naming | None:
     if not readings:
         return None
     readings.sort(key=lambda r: r.cost)
-    best = readings[0]
-    other = next((r for r in readings[1:] if (r.names, r.trunk) != (best.names, best.trunk)), None)
-    gap = np.inf if other is None else other.cost - best.cost
-    found = Naming(best, other, float(1.0 / (1.0 + np.exp(-min(gap, 40.0)))))
-    if _may_be_appendage(candidates, best):
-        names = {n: i for n, i in best.names.items() if n != "lspv"} | {"appendage": best.names["lspv"]}
-        return Naming(best, replace(best, names=names, missing="lspv"), min(found.confidence, IN_ITS_PLACE))
-    return found
+    apart: dict[object, Reading] = {}  # one that differs by its handedness alone, or by a blind pouch's name, is no other
+    for reading in readings:
+        open_ones = ((n, i) for n, i in reading.names.items() if n != "appendage" or candidates[i].source != BRANCH)
+        apart.setdefault((tuple(sorted(open_ones)), reading.trunk), reading)
+    best, *others = apart.values()
+    gaps = np.array([other.cost - best.cost for other in others])
+    confidence = float(1.0 / (1.0 + np.exp(-gaps).sum()))
+    if _leans(candidates, best):
+        confidence = min(confidence, IN_ITS_PLACE)
+    return Naming(best, others[0] if others else None, confidence)
 
 
-def _may_be_appendage(candidates: Sequence[Candidate], best: Reading) -> bool:
+def _leans(candidates: Sequence[Candidate], best: Reading) -> bool:
     """Whether what is named LSPV, no appendage beside it, leans forward as an appendage does where that vein is missing.
 
-    The two sides' superior directions then differ by more than TWIST's plain range. The ranges of veins and appendages overlap:
-    an appendage that leans less is not seen here.
+    The two sides' superior directions then differ by more than TWIST's plain range; in a mirror image, where superior and
+    inferior are exchanged, no reading of the others says so.
     """
     if best.missing or best.trunk is not None or "appendage" in best.names or candidates[best.names["lspv"]].said:
+        return False
+    if any(c.source == BRANCH and c.diameter_mm > POUCH * candidates[best.names["lspv"]].diameter_mm for c in candidates):
         return False
     rs, ri, ls, li = (candidates[best.names[n]].centre for n in VEINS)
     return bool(np.arccos(np.clip(_dot(_unit(rs - ri), _unit(ls - li)), -1.0, 1.0)) > TWIST[0])
@@ -165,6 +178,7 @@ def _trunks(candidates: Sequence[Candidate], chosen: list[int], axes: Axes | Non
 def _places(entries: Sequence[Candidate], whole: IntArray) -> _Places:
     return _Places(
         np.array([c.centre for c in entries]).reshape(-1, 3),
+        np.array([c.direction for c in entries]).reshape(-1, 3),
         np.array([c.diameter_mm for c in entries]),
         np.array([c.source == BRANCH for c in entries]),
         np.array([c.source == CONTACT for c in entries]),
@@ -239,7 +253,8 @@ def score(places: _Places, rows: IntArray, at: FloatArray, axes: Axes | None, mi
     across, up = _unit(across), _unit(up)
     superior = _unit(np.cross(across, up)) * (-1.0 if mirrored else 1.0)
     has = rows[:, 5] >= 0
-    cost = np.where(has, 0.0, NO_APPENDAGE) + (MIRRORED if mirrored else 0.0)
+    pouch = _pouches(places, rows)
+    cost = np.where(has | pouch.any(axis=1), 0.0, NO_APPENDAGE) + (MIRRORED if mirrored else 0.0)
 
     size = places.diameter[np.maximum(rows, 0)]
     veins = size[:, 1:5].max(axis=1)
@@ -258,14 +273,52 @@ def score(places: _Places, rows: IntArray, at: FloatArray, axes: Axes | None, mi
     nearest = np.min([_size(e - v) for v in (li, rs, ri)], axis=0)
     farther = np.where(_size(e - ls) > nearest, 3.0, 0.0)
     cost += np.where(has, np.minimum(_above(j, APPENDAGE), APPENDAGE_TERM) + farther, 0.0)
-    cost += _unused(places, rows, at, width)
+    cost += _ways(places, rows) + _blind(places, rows, pouch, right, left)
+    cost += _unused(places, rows, at, width, pouch)
     if axes is not None:
         cost += _term(_dot(across, axes.left), AXES)
         cost += _term(_dot(superior, _unit(axes.superior - axes.posterior)), (0.9, AXES[1]))
     return cost + _against_words(places, rows)
 
 
-def _unused(places: _Places, rows: IntArray, at: FloatArray, width: FloatArray) -> FloatArray:
+def _ways(places: _Places, rows: IntArray) -> FloatArray:
+    """Cost (r,) of where openings look: two veins of a side much the same way, the appendage forward of the left inferior vein.
+
+    It is what tells an appendage from a left superior vein where one of the two is not there: their places overlap.
+    """
+    way = places.direction[np.maximum(rows, 0)]
+    cost = np.zeros(len(rows))
+    for upper, lower in ((1, 2), (3, 4)):
+        both = rows[:, upper] != rows[:, lower]  # a vein that is missing has its mate's direction
+        same = _below(_dot(way[:, upper], way[:, lower]), SAME_WAY)
+        cost += np.where(both, np.minimum(same, WAYS_TERM), 0.0)
+    aside = np.minimum(_above(_dot(way[:, 5], way[:, 4]), ASIDE), WAYS_TERM)
+    there = (rows[:, 5] >= 0) & (rows[:, 3] != rows[:, 4])
+    return cost + np.where(there, aside, 0.0)
+
+
+def _pouches(places: _Places, rows: IntArray) -> BoolArray:
+    """(r, n) whether a candidate without a name ends blind beside veins that are open: the appendage, closed."""
+    typical = np.median(places.diameter[rows[:, 1:5]], axis=1)
+    free = (rows[:, :, None] != np.arange(len(places.diameter))).all(axis=1)
+    return np.asarray(free & places.branch & (places.diameter > POUCH * typical[:, None]) & _veins_open(places, rows)[:, None])
+
+
+def _veins_open(places: _Places, rows: IntArray) -> BoolArray:
+    return np.asarray((~places.branch[rows[:, 1:5]]).sum(axis=1) >= 2)
+
+
+def _blind(places: _Places, rows: IntArray, pouch: BoolArray, right: FloatArray, left: FloatArray) -> FloatArray:
+    """Cost (r,) of veins that end blind where others are open, and of pouches on the right."""
+    cost = np.where(_veins_open(places, rows), BLIND_VEIN * places.branch[rows[:, 1:5]].sum(axis=1), 0.0)
+    for i in np.flatnonzero(pouch.any(axis=0)):
+        apart = [np.maximum(_size(places.centre[i] - side), 1e-6) for side in (right, left)]
+        side = _below(np.log(apart[0] / apart[1]), LATERAL)
+        cost += np.where(pouch[:, i], UNUSED_BRANCH + np.minimum(side, APPENDAGE_TERM), 0.0)
+    return cost
+
+
+def _unused(places: _Places, rows: IntArray, at: FloatArray, width: FloatArray, pouch: BoolArray) -> FloatArray:
     """Cost of candidates that get no name: small holes and bumps little, a vein only between two others of its side."""
     cost = np.zeros(len(rows))
     typical = np.median(places.diameter[rows[:, 1:5]], axis=1)
@@ -273,6 +326,7 @@ def _unused(places: _Places, rows: IntArray, at: FloatArray, width: FloatArray) 
         free = (rows != i).all(axis=1)
         if not free.any():
             continue
+        free &= ~pouch[:, i]
         off = np.min([_off(places.centre[i], at[:, a], at[:, b]) for a, b in ((1, 2), (3, 4))], axis=0) / width
         share = np.clip(places.diameter[i] / typical, 0.3, 1.0) ** 2
         one = (UNUSED_BRANCH if places.branch[i] else UNUSED_RIM) + _term(off, BETWEEN) * (0.2 if places.branch[i] else 1.0)

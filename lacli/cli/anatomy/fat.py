@@ -35,9 +35,9 @@ def command(
     Example: lacli fat ct.nii.gz --anatomy anatomy --labels heart.nii.gz --la 2 --out fat
     """
     from lacli.anatomy.inputs import image
+    from lacli.anatomy.meshing import naming, storing
     from lacli.anatomy.wall import fat
     from lacli.base.files import check_folder
-    from lacli.cli.anatomy.mesh import naming, storing
     from lacli.contracts.bundle import load
 
     if bundle is None and labels is None:
@@ -89,7 +89,7 @@ def _pool(labels: Path | None, la: int | None, anatomy: Any) -> tuple[Any, list[
     from lacli.geometry.surface import Surface, compact
 
     if labels is not None:
-        from lacli.cli.anatomy.mesh import la_label, naming
+        from lacli.anatomy.meshing import la_label, naming
 
         map_ = image.read_labels(labels)
         with naming(labels):

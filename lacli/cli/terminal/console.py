@@ -85,3 +85,15 @@ def stages() -> Iterator[Callable[[api.Progress], None]]:
             bar.update(tasks[event.stage], completed=event.done)
 
         yield show
+
+
+@contextmanager
+def one_bar(text: str) -> Iterator[Callable[[api.Progress], None]]:
+    """What shows the progress of a call of the library in one bar, whose words are the stage's; ``text`` until it begins."""
+    with progress() as bar:
+        task = bar.add_task(text, total=1)
+
+        def show(event: api.Progress) -> None:
+            bar.update(task, description=event.stage, completed=event.done, total=event.total)
+
+        yield show

@@ -56,8 +56,9 @@ class Wave:
         return ((mean - self.targets.mean) @ weights.T) / np.sqrt(variance @ (weights**2).T + own)
 
     def signed(self, x: FloatArray) -> FloatArray:
-        """(E f - mu) / sqrt(Var f + sigma^2) (m, p + q) of each output and each whitened component at x (m, d)."""
-        mean, variance = self.emulators.predict(x)
+        """(E f - mu) / sqrt(Var f + sigma^2) (m, p + q) of each output and each whitened component at x (m, d); Var f with the
+        runs' own error."""
+        mean, variance = self.emulators.predict_truth(x)
         alone = (mean - self.targets.mean) / np.sqrt(variance + self.targets.sd**2)
         return np.hstack([alone, self._whitened(mean, variance)])
 
@@ -80,8 +81,8 @@ class Wave:
             return self.level(x) < t
         open_ = np.arange(len(x))
         for j in self._order():
-            mu, noise = self.targets.mean[j], self.targets.sd[j] ** 2
             rows = x[open_]
+            mu, noise = self.targets.mean[j], self.targets.sd[j] ** 2 + self.emulators.error_variance(j, rows)
             m0, m1, v0, v1 = self.emulators.screen(j, rows)
             away = np.maximum(np.maximum(m0 - mu, mu - m1), 0.0)  # m0 <= mean <= m1
             out = away >= bound * np.sqrt(v1 + noise)
@@ -89,12 +90,12 @@ class Wave:
             unclear = np.flatnonzero(~(out | sure))
             if len(unclear):
                 mean, variance = self.emulators.predict_one(j, rows[unclear])
-                out[unclear] = np.abs(mean - mu) >= bound * np.sqrt(variance + noise)
+                out[unclear] = np.abs(mean - mu) >= bound * np.sqrt(variance + noise[unclear])
             open_ = open_[~out]
             if not len(open_):
                 break
         if len(open_) and len(self.components[1]):
-            open_ = open_[(np.abs(self._whitened(*self.emulators.predict(x[open_]))) < bound).all(axis=1)]
+            open_ = open_[(np.abs(self._whitened(*self.emulators.predict_truth(x[open_]))) < bound).all(axis=1)]
         result = np.zeros(len(x), bool)
         result[open_] = True
         return result

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from shapes import icosphere
 
-from lacli.anatomy.inputs import repair
+from lacli.anatomy.inputs import repair, surfacefile, voxels
 from lacli.base.errors import AnatomyError, InputError
 
 EXACT_ML = 4 / 3 * np.pi * 20**3 / 1000
@@ -73,7 +73,7 @@ def test_a_soup_is_rebuilt_from_voxels() -> None:
 def test_what_is_no_atrium_is_refused() -> None:
     points, triangles = sphere()
     with pytest.raises(AnatomyError, match="units wide"):
-        repair.unit_scale(np.array([[0.0, 0, 0], [900, 0, 0]]))
+        surfacefile.unit_scale(np.array([[0.0, 0, 0], [900, 0, 0]]))
     with pytest.raises(AnatomyError, match="unconnected parts"):
         repair.repair(np.vstack([points, points + 50.0]), np.vstack([triangles, triangles + len(points)]))
     with pytest.raises(AnatomyError, match="finite"):
@@ -82,7 +82,7 @@ def test_what_is_no_atrium_is_refused() -> None:
         plane = np.stack(np.meshgrid(np.arange(40.0), np.arange(40.0), [0.0]), -1).reshape(-1, 3)
         i, j = np.meshgrid(np.arange(39), np.arange(39))
         a = (i * 40 + j).ravel()
-        repair.from_voxels(plane, np.vstack([np.column_stack([a, a + 1, a + 40]), np.column_stack([a + 1, a + 41, a + 40])]))
+        voxels.from_voxels(plane, np.vstack([np.column_stack([a, a + 1, a + 40]), np.column_stack([a + 1, a + 41, a + 40])]))
 
 
 @pytest.mark.parametrize("ending", ["stl", "ply", "vtp", "vtk", "obj"])
@@ -92,8 +92,8 @@ def test_formats_are_read_and_damage_is_named(tmp_path: Path, ending: str) -> No
     points, triangles = sphere()
     file = tmp_path / f"ball.{ending}"
     pv.PolyData(points, np.column_stack([np.full(len(triangles), 3), triangles]).ravel()).save(file)
-    got, cells = repair.read(file)
+    got, cells = surfacefile.read(file)
     assert repair.repair(got, cells).surface.volume_ml() == pytest.approx(EXACT_ML, rel=0.01)
     (tmp_path / f"empty.{ending}").write_bytes(b"")
     with pytest.raises(InputError, match="empty"):
-        repair.read(tmp_path / f"empty.{ending}")
+        surfacefile.read(tmp_path / f"empty.{ending}")

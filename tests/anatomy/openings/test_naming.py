@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lacli.anatomy.openings import naming
-from lacli.anatomy.openings.candidate import RIM, Candidate, halves, of_ring
+from lacli.anatomy.openings.candidate import BRANCH, RIM, Candidate, halves, of_ring
 from lacli.anatomy.openings.landmarks import LPS
+from lacli.synthetic.shape import draw
 
-# a plain atrium in LPS mm: veins on the back wall, the left ones nearer the valve, the appendage before the left superior
+# a plain atrium in LPS mm: veins on the back wall, the left ones nearer the valve, the appendage before the left superior;
+# centre, diameter, and which way it looks: veins sideways, the superior ones up, the appendage forward
 PLACES = {
-    "mv": ((10.0, -12.0, -28.0), 30.0),
-    "rspv": (((-30.0), 6.0, 20.0), 14.0),
-    "ripv": ((-30.0, 14.0, -6.0), 13.0),
-    "lspv": ((28.0, 8.0, 20.0), 13.0),
-    "lipv": ((28.0, 16.0, -4.0), 12.0),
-    "appendage": ((30.0, -8.0, 8.0), 15.0),
+    "mv": ((10.0, -12.0, -28.0), 30.0, (0.3, -0.4, -0.86)),
+    "rspv": ((-30.0, 6.0, 20.0), 14.0, (-0.85, -0.2, 0.5)),
+    "ripv": ((-30.0, 14.0, -6.0), 13.0, (-0.85, 0.5, -0.15)),
+    "lspv": ((28.0, 8.0, 20.0), 13.0, (0.7, 0.1, 0.7)),
+    "lipv": ((28.0, 16.0, -4.0), 12.0, (0.8, 0.6, 0.0)),
+    "appendage": ((30.0, -8.0, 8.0), 15.0, (0.7, -0.65, 0.3)),
 }
 
 
-def circle(centre: tuple[float, float, float], diameter: float) -> Candidate:
+def circle(centre: tuple[float, float, float], diameter: float, way: tuple[float, float, float] | None = None) -> Candidate:
     middle = np.array(centre)
-    out = middle / np.linalg.norm(middle)
+    out = middle if way is None else np.array(way)
+    out = out / np.linalg.norm(out)
     e = np.cross(out, [0.0, 0.0, 1.0] if abs(out[2]) < 0.9 else [1.0, 0, 0])
     e /= np.linalg.norm(e)
     f = np.cross(out, e)
@@ -88,9 +93,49 @@ def test_a_vein_that_is_not_there_is_said_or_doubted(gone: str, appendage: bool,
         assert found is None or found.best.missing or found.confidence < naming.LEAST_CONFIDENCE
 
 
-def test_an_lspv_that_the_file_names_is_not_doubted_for_an_appendage() -> None:
-    from dataclasses import replace
+@pytest.mark.parametrize("seed", range(1, 6))
+@pytest.mark.parametrize("tilt_deg", [0.0, 25.0])
+def test_whichever_opening_a_synthetic_atrium_lacks_no_other_takes_its_name(seed: int, tilt_deg: float) -> None:
+    rng = np.random.default_rng(seed)
+    rims: dict[str, Candidate] = {}
+    for name, tube in draw(seed).tubes.items():
+        aside = np.cross(tube.direction, rng.normal(size=3))
+        tilt = np.tan(np.radians(tilt_deg if name != "mv" else 0.0))
+        way = tube.direction + tilt * aside / np.linalg.norm(aside)
+        rims[name] = circle(tuple(tube.start + tube.cut_mm * tube.direction), 2 * tube.radius_start, tuple(way))
 
+    def certain(found: naming.Naming | None) -> bool:
+        return found is not None and not found.best.missing and found.confidence >= naming.LEAST_CONFIDENCE
+
+    for gone in naming.VEINS:
+        for lost in ((gone,), (gone, "appendage")):
+            assert not certain(naming.assign([c for n, c in rims.items() if n not in lost], None)), lost
+    for lost in ((), ("appendage",)):
+        order = [n for n in rims if n not in lost]
+        found = naming.assign([rims[n] for n in order], None)
+        assert found is not None and names(found, order) == {n: n for n in order}
+        assert tilt_deg > 0 or certain(found)
+
+
+def test_a_blind_pouch_tells_left_from_right() -> None:
+    # both sides as far from the valve, superior as inferior: turned by half a turn the veins are themselves
+    parts = {n: circle(*PLACES[n]) for n in ("mv", "rspv", "ripv", "lspv", "lipv")}
+    parts["mv"] = circle((0.0, 11.0, -28.0), 30.0, (0.0, 0.0, -1.0))
+    for name in ("rspv", "ripv", "lspv", "lipv"):
+        side, height = (-1.0 if name[0] == "r" else 1.0), (11.0 if name[1] == "s" else -11.0)
+        parts[name] = circle((29.0 * side, 11.0 - height, 14.0), 13.0, (side, -0.5 * np.sign(height), 0.3))
+    order = list(parts)
+    alone = naming.assign(list(parts.values()), None)
+    assert alone is not None and alone.confidence < naming.LEAST_CONFIDENCE
+    for side in (1.0, -1.0):
+        pouch = replace(circle((24.0 * side, 11.0 - 20.0 * side, 6.0), 14.0), source=BRANCH)
+        found = naming.assign([*parts.values(), pouch], None)
+        assert found is not None and found.confidence > naming.LEAST_CONFIDENCE
+        left = parts[order[found.best.names["lspv"]]].centre
+        assert np.sign(left[0]) == side
+
+
+def test_an_lspv_that_the_file_names_is_not_doubted_for_an_appendage() -> None:
     parts = atrium(("lspv",))
     order = ["lspv" if n == "appendage" else n for n in parts]
     found = naming.assign(
@@ -108,8 +153,6 @@ def test_the_middle_vein_is_the_one_without_a_name() -> None:
 
 
 def test_what_the_input_says_wins() -> None:
-    from dataclasses import replace
-
     parts = atrium()
     order = list(parts)
     swapped = {"lspv": "lipv", "lipv": "lspv"}
