@@ -20,7 +20,7 @@ from lacli.cohort.evidence import evidence
 from lacli.contracts.labels import BODY_REGIONS
 from lacli.contracts.targets import Targets
 from lacli.inference.box import Box, make_box
-from lacli.inference.emulation.emulator_set import EmulatorSet
+from lacli.inference.emulation.emulator_set import AnyEmulators
 from lacli.inference.sampling.coverage import check_coverage
 from lacli.inference.sampling.likelihood import gaussian_log_likelihood
 
@@ -35,7 +35,7 @@ class Model:
     """A model: emulators with their box, and groups of inputs that are one number."""
 
     name: str
-    emulators: EmulatorSet
+    emulators: AnyEmulators
     box: Box
     tied: tuple[tuple[str, ...], ...] = ()
 
