@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from lacli.api.inference import Emulation, Matching, NothingLeft, Sensitivity, emulate, match, sensitivity
     from lacli.api.mechanics import read_deck, rerun, simulate, write_deck
     from lacli.api.progress import Progress
-    from lacli.api.study import Report, compare, stats, write_report
+    from lacli.api.study import Cohort, Report, compare, plan_cohort, run_cohort, stats, write_report, write_slurm
     from lacli.base.errors import Cancelled, LacliError
     from lacli.contracts.scene import Scene, load_scene
     from lacli.contracts.tables.table import RunTable, read_runs
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Box",
     "Cancelled",
+    "Cohort",
     "Emulation",
     "EmulatorSet",
     "LacliError",
@@ -49,17 +50,20 @@ __all__ = [
     "make_box",
     "match",
     "mesh",
+    "plan_cohort",
     "read_box",
     "read_deck",
     "read_runs",
     "read_targets",
     "rerun",
+    "run_cohort",
     "save_emulators",
     "sensitivity",
     "simulate",
     "stats",
     "write_deck",
     "write_report",
+    "write_slurm",
 ]
 
 _HOMES = {
@@ -67,7 +71,7 @@ _HOMES = {
     "lacli.api.inference": ("Emulation", "Matching", "NothingLeft", "Sensitivity", "emulate", "match", "sensitivity"),
     "lacli.api.mechanics": ("read_deck", "rerun", "simulate", "write_deck"),
     "lacli.api.progress": ("Progress",),
-    "lacli.api.study": ("Report", "compare", "stats", "write_report"),
+    "lacli.api.study": ("Cohort", "Report", "compare", "plan_cohort", "run_cohort", "stats", "write_report", "write_slurm"),
     "lacli.base.errors": ("Cancelled", "LacliError"),
     "lacli.contracts.scene": ("Scene", "load_scene"),
     "lacli.contracts.tables.table": ("RunTable", "read_runs"),
