@@ -12,13 +12,14 @@ import hashlib
 import itertools
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lacli.base.errors import AnatomyError, UsageError
+from lacli.base.documents import read_json
+from lacli.base.errors import AnatomyError, InputError, UsageError
 from lacli.base.files import write_json
 from lacli.base.resources import folder as resource_folder
 from lacli.base.schema import array_file
@@ -27,7 +28,7 @@ from lacli.contracts.scene import Scene
 
 # a number for each kind of kept thing: raised when what is kept is made in another way, so that nothing old is taken for new
 METHODS: dict[str, int] = {
-    "runs": 1, "calibration": 1, "emulators": 1, "region": 2, "chain": 2, "accuracy": 1, "figures": 1, "result": 1,
+    "runs": 1, "calibration": 1, "emulators": 1, "region": 2, "chain": 2, "accuracy": 2, "figures": 1, "result": 1,
 }  # fmt: skip
 _SHOWN = 6  # differences named in a message
 _LISTED = 32  # numbers of an array that are kept as they are, so that a message can show them; longer ones as a digest
@@ -150,13 +151,21 @@ def _shown(value: Any) -> str:
 
 
 def beside(table: Path) -> Path:
-    """Where the identity of a kept table is written."""
+    """Where the identity of a kept table is written, with digests of the table (``table_digests``)."""
     return table.with_name(table.name + ".identity.json")
 
 
-def write_identity(file: Path, identity: Identity) -> None:
-    """Write the identity as JSON, whole or not at all. Raises StorageError."""
-    write_json(file, identity.document())
+def write_identity(file: Path, identity: Identity, *, tables: Sequence[str] = ()) -> None:
+    """Write the identity as JSON, whole or not at all; ``tables``: digests that the table beside it may have. StorageError."""
+    write_json(file, identity.document() | ({"tables": list(tables)} if tables else {}))
+
+
+def table_digests(file: Path) -> tuple[str, ...]:
+    """The digests that the table beside an identity may have; none where it does not say (an earlier version wrote it)."""
+    try:
+        return tuple(str(digest) for digest in read_json(file).get("tables", ()))
+    except (InputError, AttributeError, TypeError):
+        return ()
 
 
 def read_identity(file: Path) -> Identity | None:

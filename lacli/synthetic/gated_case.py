@@ -16,6 +16,7 @@ import pandas as pd
 from lacli.anatomy.inputs import image as images
 from lacli.anatomy.surface_features import Endocardium
 from lacli.base.arrays import FloatArray
+from lacli.base.documents import read_json
 from lacli.base.errors import AnatomyError
 from lacli.base.files import write_json, write_text
 from lacli.contracts.bundle import Bundle, check_replaceable, load, save
@@ -62,9 +63,9 @@ def finished(folder: Path, made_from: dict[str, Any]) -> dict[str, Any] | None:
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return None
     try:
-        info = json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))
+        info = read_json(folder / DESCRIPTION, error=AnatomyError)
         same = all(info[name] == json.loads(json.dumps(value)) for name, value in made_from.items())
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (AnatomyError, KeyError, TypeError) as error:
         raise AnatomyError(f"{folder} exists and is no synthetic patient; choose another folder or remove it.") from error
     if not same:
         raise AnatomyError(f"{folder} holds a synthetic patient made from other options; choose another folder or remove it.")

@@ -64,6 +64,7 @@ def command(
     Example: lacli calibrate scene.toml --targets targets.toml --out patient_1
     """
     from lacli.base.files import check_folder
+    from lacli.base.processes.locks import working_on
     from lacli.calibration.calibration import Settings, calibrate, calibration_identity, obstacle
     from lacli.inference.box import CALIBRATION_INPUTS, OUTPUTS, published_box, read_box
     from lacli.inference.runs import RunLog
@@ -111,7 +112,7 @@ def command(
         of_runs = runs_identity(run, box.names, logged(OUTPUTS))
         identity = truth_identity(run, box, OUTPUTS, x, settings)
         folder = settle(folder, lambda p: obstacle(p, identity) or runs_obstacle(p / "runs.csv", of_runs), fresh)
-        with _dashboard() as monitor:
+        with working_on(folder), _dashboard() as monitor:
             recoveries = verify(run, box, OUTPUTS, x, settings, folder, monitor)
         _show_recovery(recoveries, box, folder, figures, as_json, time.monotonic() - begin)
         return
@@ -122,8 +123,8 @@ def command(
     of_runs = runs_identity(run, box.names, targets.names)
     identity = calibration_identity(box, targets, settings, of_runs)
     folder = settle(folder, lambda p: obstacle(p, identity) or runs_obstacle(p / "runs.csv", of_runs), fresh)
-    log = RunLog(folder / "runs.csv", box.names, targets.names, of_runs, retry)
-    with _dashboard() as monitor:
+    with working_on(folder), _dashboard() as monitor:
+        log = RunLog(folder / "runs.csv", box.names, targets.names, of_runs, retry)
         result = calibrate(run, box, targets, settings, folder, log, monitor=monitor)
     _finish(result, folder, figures, as_json, time.monotonic() - begin, targets)
 
@@ -132,6 +133,7 @@ def _from_table(
     path: Path, targets_file: Path, box_file: Path | None, settings: Any, folder: Path, fresh: bool, monitor: Monitor
 ) -> tuple[Path, Calibration]:
     """The calibration of a table, and the folder it is in."""
+    from lacli.base.processes.locks import working_on
     from lacli.calibration.calibration import calibrate, calibration_identity, given_runs, obstacle
     from lacli.contracts.identity import settle
     from lacli.contracts.tables.columns import error_of
@@ -166,7 +168,8 @@ def _from_table(
     given = given[np.sort(first)]
     identity = calibration_identity(box, targets, settings, given_runs(log, given, targets))
     folder = settle(folder, lambda place: obstacle(place, identity), fresh)
-    return folder, calibrate(None, box, targets, settings, folder, log, given=given, monitor=monitor)
+    with working_on(folder):
+        return folder, calibrate(None, box, targets, settings, folder, log, given=given, monitor=monitor)
 
 
 def _number(column: Any) -> Any:
@@ -194,8 +197,13 @@ def _truth(pairs: list[str] | None, box: Box, default: Any) -> Any:
             x[box.names.index(name)] = float(value)
         except ValueError as error:
             raise UsageError(f"--truth {text}: {value!r} is not a number.") from error
-    if not box.contains(x[None])[0]:
-        raise UsageError("--truth: the point is outside the box.")
+    for name, value, low, high in zip(box.names, x, box.lower, box.upper, strict=True):
+        if not low <= value <= high:
+            raise UsageError(f"--truth: {name} is {value:g}, outside the box ({low:g} to {high:g}). Set --truth {name}=VALUE.")
+    for i, j in box.ordered:
+        if not x[i] < x[j]:
+            a, b = box.names[i], box.names[j]
+            raise UsageError(f"--truth: {a} is {x[i]:g}, not below {b}, {x[j]:g}. Set --truth {a}=VALUE or {b}=VALUE.")
     return x
 
 

@@ -78,17 +78,19 @@ def command(
         err.print(f"note: {note}", highlight=False, soft_wrap=True)
     failed, rows_kept = 0, len(x)
     if program is not None and identity is not None:
+        from lacli.base.processes.locks import working_on
         from lacli.inference.runs import RunLog
 
-        log = RunLog(_log_of(table), box.names, (*OUTPUTS, "edv_ml"), identity, retry)
-        with progress() as bar:
-            task = bar.add_task("simulations", total=len(x))
-            log.run(program, x, lambda done, total: bar.update(task, completed=done, total=total))
-        failed = int((log.frame(x)["status"] != "done").sum())
-        frame = log.arrange(x)
-        rows_kept = len(frame)
-        if table != log.path:
-            _write(frame, table, identity)
+        with working_on(table):
+            log = RunLog(_log_of(table), box.names, (*OUTPUTS, "edv_ml"), identity, retry)
+            with progress() as bar:
+                task = bar.add_task("simulations", total=len(x))
+                log.run(program, x, lambda done, total: bar.update(task, completed=done, total=total))
+            failed = int((log.frame(x)["status"] != "done").sum())
+            frame = log.arrange(x)
+            rows_kept = len(frame)
+            if table != log.path:
+                _write(frame, table, identity)
     else:
         import pandas as pd
 
