@@ -12,14 +12,13 @@ import hashlib
 import itertools
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lacli.base.documents import read_json
-from lacli.base.errors import AnatomyError, InputError, UsageError
+from lacli.base.errors import AnatomyError, UsageError
 from lacli.base.files import write_json
 from lacli.base.resources import folder as resource_folder
 from lacli.base.schema import array_file
@@ -151,21 +150,13 @@ def _shown(value: Any) -> str:
 
 
 def beside(table: Path) -> Path:
-    """Where the identity of a kept table is written, with digests of the table (``table_digests``)."""
+    """Where the identity of a kept table is written."""
     return table.with_name(table.name + ".identity.json")
 
 
-def write_identity(file: Path, identity: Identity, *, tables: Sequence[str] = ()) -> None:
-    """Write the identity as JSON, whole or not at all; ``tables``: digests that the table beside it may have. StorageError."""
-    write_json(file, identity.document() | ({"tables": list(tables)} if tables else {}))
-
-
-def table_digests(file: Path) -> tuple[str, ...]:
-    """The digests that the table beside an identity may have; none where it does not say (an earlier version wrote it)."""
-    try:
-        return tuple(str(digest) for digest in read_json(file).get("tables", ()))
-    except (InputError, AttributeError, TypeError):
-        return ()
+def write_identity(file: Path, identity: Identity) -> None:
+    """Write the identity as JSON, whole or not at all. Raises StorageError."""
+    write_json(file, identity.document())
 
 
 def read_identity(file: Path) -> Identity | None:

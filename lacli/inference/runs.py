@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,16 +15,7 @@ from lacli.base.errors import LacliError, TableError, UsageError
 from lacli.base.files import replacing
 from lacli.base.processes.process import memory_mb
 from lacli.contracts import failures
-from lacli.contracts.identity import (
-    Identity,
-    beside,
-    conflict,
-    file_digest,
-    identify,
-    read_identity,
-    table_digests,
-    write_identity,
-)
+from lacli.contracts.identity import Identity, beside, conflict, identify, read_identity, write_identity
 from lacli.contracts.tables.table import ERROR_SUFFIX, STATUS, RunTable, combine, input_values, read_frame
 
 KIND, ATTEMPTS, MESSAGE, MEMORY = "kind", "attempts", "message", "peak_memory_mb"
@@ -157,13 +147,10 @@ class RunLog:
     def save(self) -> None:
         """Write the file, whole or not at all, and before it what it is made from."""
         assert self.identity is not None, "a table from elsewhere is not written"
-        content = pd.DataFrame(list(self.rows.values())).to_csv(index=False).encode()
-        before = file_digest(self.path) if self.path.is_file() else None
-        after = hashlib.sha256(content).hexdigest()
-        # what ends us between the two leaves the table as it was before
-        write_identity(beside(self.path), self.identity, tables=[after] if before is None else [before, after])
+        if read_identity(beside(self.path)) != self.identity:
+            write_identity(beside(self.path), self.identity)
         with replacing(self.path) as temporary:
-            temporary.write_bytes(content)
+            pd.DataFrame(list(self.rows.values())).to_csv(temporary, index=False)
 
     def arrange(self, x: FloatArray) -> pd.DataFrame:
         """Put the rows of the points x (m, d) first, in their order, write the file, and return all rows."""
@@ -198,12 +185,7 @@ def obstacle(path: Path, identity: Identity) -> str:
         return ""
     if missing := [name for name in inputs if name not in frame.columns]:
         return f"holds a table of something else (it has no column {', '.join(missing)})"
-    if words := conflict(read_identity(beside(path)), identity, "runs"):
-        return words
-    known = table_digests(beside(path))
-    if known and file_digest(path) not in known:
-        return "was changed since lacli wrote it: as it stands it is a table of your own (`lacli calibrate --from-table`)"
-    return ""
+    return conflict(read_identity(beside(path)), identity, "runs")
 
 
 def _kept(path: Path, inputs: Sequence[str], outputs: Sequence[str]) -> pd.DataFrame | None:

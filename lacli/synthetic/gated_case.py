@@ -25,7 +25,7 @@ from lacli.contracts.scene import dump_scene
 from lacli.motion.annulus import annulus_points, descend
 from lacli.motion.phases import phases_of, volume_spline
 from lacli.motion.store import write_series
-from lacli.synthetic import cycle, gated
+from lacli.synthetic import cycle, gated, kept
 from lacli.synthetic.atrium import synthesize
 from lacli.synthetic.gated import Acquisition
 
@@ -69,6 +69,7 @@ def finished(folder: Path, made_from: dict[str, Any]) -> dict[str, Any] | None:
         raise AnatomyError(f"{folder} exists and is no synthetic patient; choose another folder or remove it.") from error
     if not same:
         raise AnatomyError(f"{folder} holds a synthetic patient made from other options; choose another folder or remove it.")
+    kept.check(folder, info)
     return dict(info)
 
 
@@ -108,6 +109,7 @@ def _write(
         "parameters": parameters,
     }
     info |= {"rr_ms": 60000.0 / heart_rate, "frame_times_ms": (acquisition.times * 60000.0 / heart_rate).tolist()}
+    info[kept.FILES] = kept.digests(folder, DESCRIPTION)
     write_json(folder / DESCRIPTION, info)
     return info
 

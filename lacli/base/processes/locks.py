@@ -49,10 +49,10 @@ def lock(path: Path, what: str, wait: bool = True) -> Iterator[bool]:
 @contextlib.contextmanager
 def working_on(out: Path) -> Iterator[None]:
     """Within the block this process alone fills ``out`` (a table or a folder, its parents made if absent); a second one waits
-    before it, and says for whom. The lock lies beside ``out``, under a name with a dot. Raises StorageError."""
+    before it, and says for whom. The lock lies beside ``out``, as .lock-NAME. Raises StorageError."""
     with storing(out):
         out.parent.mkdir(parents=True, exist_ok=True)
-        with lock(out.with_name(f".{out.name}.lock"), f"which fills {out}"):
+        with lock(out.with_name(f".lock-{out.name}"), f"which fills {out}"):
             yield
 
 

@@ -11,6 +11,7 @@ import typer
 
 from lacli.base.documents import read_json
 from lacli.base.errors import AnatomyError, InputError, UsageError
+from lacli.base.files import write_json
 from lacli.cli.terminal.console import print_json, print_table, progress
 
 KEY = "synthesis"  # in anatomy.json: what a folder was made from, so that a rerun knows a finished one
@@ -173,6 +174,7 @@ def _one(seed: int, folder: Path, wanted: dict[str, Any], voxel_mm: float | None
     from lacli.contracts.bundle import check, check_replaceable, save
     from lacli.contracts.motion import save_motion
     from lacli.synthetic.atrium import synthesize
+    from lacli.synthetic.kept import FILES, digests
 
     made_from = {"seed": seed, **wanted, "voxel_mm": voxel_mm}
     info = _finished(folder, made_from)
@@ -193,6 +195,8 @@ def _one(seed: int, folder: Path, wanted: dict[str, Any], voxel_mm: float | None
                 info["image"] = _images(seed, wanted, voxel_mm, partial)
             save(replace(bundle, info=info), partial)
             save_motion(motion, partial)
+            info[FILES] = digests(partial, "anatomy.json")
+            write_json(partial / "anatomy.json", info)
             if folder.exists():
                 shutil.rmtree(folder)
             partial.replace(folder)
@@ -228,8 +232,10 @@ def _images(seed: int, wanted: dict[str, Any], voxel_mm: float, folder: Path) ->
 def _finished(folder: Path, made_from: dict[str, Any]) -> dict[str, Any] | None:
     """The description of a folder that was made from the same options; None where there is none.
 
-    Raises AnatomyError where the folder holds something else: it is not ours to replace.
+    Raises AnatomyError where the folder holds something else, or was changed since: it is not ours to replace.
     """
+    from lacli.synthetic import kept
+
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return None
     try:
@@ -240,4 +246,7 @@ def _finished(folder: Path, made_from: dict[str, Any]) -> dict[str, Any] | None:
             f"{folder} exists and was not written by `lacli synthesize`; choose another folder or remove it."
         ) from error
     complete = all((folder / name).is_file() for name in ("wall.vtu", "boundary.vtp", "motion.npz"))
-    return info if same and complete else None
+    if not (same and complete):
+        return None
+    kept.check(folder, info)
+    return dict(info)
