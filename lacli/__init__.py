@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from lacli.api.inference import Emulation, Matching, NothingLeft, Sensitivity, emulate, match, sensitivity
     from lacli.api.mechanics import read_deck, rerun, simulate, write_deck
     from lacli.api.progress import Progress
+    from lacli.api.study import Report, stats, write_report
     from lacli.base.errors import Cancelled, LacliError
     from lacli.contracts.scene import Scene, load_scene
     from lacli.contracts.tables.table import RunTable, read_runs
@@ -34,6 +35,7 @@ __all__ = [
     "Meshing",
     "NothingLeft",
     "Progress",
+    "Report",
     "RunResult",
     "RunTable",
     "Scene",
@@ -54,7 +56,9 @@ __all__ = [
     "save_emulators",
     "sensitivity",
     "simulate",
+    "stats",
     "write_deck",
+    "write_report",
 ]
 
 _HOMES = {
@@ -62,6 +66,7 @@ _HOMES = {
     "lacli.api.inference": ("Emulation", "Matching", "NothingLeft", "Sensitivity", "emulate", "match", "sensitivity"),
     "lacli.api.mechanics": ("read_deck", "rerun", "simulate", "write_deck"),
     "lacli.api.progress": ("Progress",),
+    "lacli.api.study": ("Report", "stats", "write_report"),
     "lacli.base.errors": ("Cancelled", "LacliError"),
     "lacli.contracts.scene": ("Scene", "load_scene"),
     "lacli.contracts.tables.table": ("RunTable", "read_runs"),

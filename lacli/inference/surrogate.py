@@ -53,7 +53,7 @@ def fit_surrogate(density: Density, x: FloatArray) -> tuple[Surrogate, float]:
     box = density.region.box
     votes = np.mean([e.log_inputs for e in density.emulators.emulators], axis=0)
     log_inputs = (votes > 0.5) & (box.lower > 0)
-    mean, variance = density.emulators.predict(x)
+    mean, variance = density.emulators.predict_truth(x)
     y = np.hstack([mean, np.log(variance)])
     kept_out = np.zeros(len(x), bool)
     kept_out[::5] = True
