@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from lacli.base.arrays import FloatArray
     from lacli.contracts.tables.table import RunTable
     from lacli.inference.box import Box
-    from lacli.inference.emulation.emulator_set import EmulatorSet
+    from lacli.inference.emulation.emulator_set import AnyEmulators
 
 Inputs = Annotated[Path | None, typer.Option("--inputs", help="Table of inputs (CSV or Parquet), one run a row.")]
 Outputs = Annotated[
@@ -64,11 +64,12 @@ def fitted(
     emulators: Path | None,
     seed: int,
     box_file: Path | None = None,
-) -> tuple[EmulatorSet, RunTable | None]:
+) -> tuple[AnyEmulators, RunTable | None]:
     """Emulators from a file, or fitted to the tables (then with the table): for the box of ``box_file``, if given."""
     from lacli.api.inference import logarithmic
     from lacli.inference.emulation.emulator import fit_emulators
     from lacli.inference.emulation.emulator_set import EmulatorSet, load_emulators
+    from lacli.inference.emulation.gradient_gp import fit_gradient_emulators
 
     if emulators is not None:
         if inputs is not None or outputs is not None:
@@ -79,11 +80,13 @@ def fitted(
     may_log = logarithmic(table, box_of_inputs(table.inputs, box_file) if box_file else None, ())
     with progress() as bar:
         task = bar.add_task("emulators", total=len(table.outputs))
+        if table.gradients is not None:
+            return fit_gradient_emulators(table, tick=lambda: bar.advance(task), may_log=may_log), table
         result = fit_emulators(table, seed=seed, tick=lambda: bar.advance(task), may_log=may_log)
     return EmulatorSet(table.inputs, tuple(result)), table
 
 
-def selected(emulators: EmulatorSet, names: Sequence[str], file: Path) -> EmulatorSet:
+def selected(emulators: AnyEmulators, names: Sequence[str], file: Path) -> AnyEmulators:
     """The emulators of the named outputs, in that order. Raises UsageError where ``file`` has none of one."""
     missing = [name for name in names if name not in emulators.outputs]
     if missing:
@@ -102,7 +105,7 @@ def box_of_inputs(names: Sequence[str], file: Path) -> Box:
     return make_box(names, box.lower[order].tolist(), box.upper[order].tolist())
 
 
-def box_of(emulators: EmulatorSet, file: Path | None, table: RunTable | None = None) -> Box:
+def box_of(emulators: AnyEmulators, file: Path | None, table: RunTable | None = None) -> Box:
     """The box of the inputs: the file's, else published ranges of known inputs and the runs' ranges of others.
 
     Raises UsageError where the file's inputs are not the emulators', or reach where an emulator is not defined.
@@ -115,7 +118,7 @@ def box_of(emulators: EmulatorSet, file: Path | None, table: RunTable | None = N
     if file is None:
         return table_box(emulators.inputs, table.x if table is not None else np.vstack([low, high]))
     box = box_of_inputs(emulators.inputs, file)
-    logged = np.any([e.log_inputs for e in emulators.emulators], axis=0)
+    logged = emulators.log_share > 0
     for name, takes_log, start in zip(emulators.inputs, logged, box.lower, strict=True):
         if takes_log and start <= 0:
             raise UsageError(
