@@ -30,7 +30,7 @@ class ExactEmulators:
         return self.mean(x), self.variance(x) + 1e-300
 
     def predict_truth(self, x):
-        return self.predict(x)  # these runs have no errors of their own
+        return self.predict(x)  # these runs have no error of their own
 
     def error_variance(self, j, x):
         return np.zeros(len(x))
