@@ -13,19 +13,24 @@ from lacli.base.version import __version__
 
 if TYPE_CHECKING:
     from lacli.api.anatomy import Meshing, mesh
+    from lacli.api.calibration import Calibrated, Recovered, calibrate, recover
     from lacli.api.inference import Emulation, Matching, NothingLeft, Sensitivity, emulate, match, sensitivity
     from lacli.api.mechanics import read_deck, rerun, simulate, write_deck
     from lacli.api.progress import Progress
     from lacli.base.errors import Cancelled, LacliError
+    from lacli.calibration.calibration import Settings as CalibrationSettings
     from lacli.contracts.scene import Scene, load_scene
     from lacli.contracts.tables.table import RunTable, read_runs
     from lacli.contracts.targets import Targets, read_targets
     from lacli.inference.box import Box, make_box, read_box
     from lacli.inference.emulation.emulator_set import EmulatorSet, load_emulators, save_emulators
+    from lacli.inference.sampling.posterior import Settings as SamplingSettings
     from lacli.mechanics.simulation import RunResult
 
 __all__ = [
     "Box",
+    "Calibrated",
+    "CalibrationSettings",
     "Cancelled",
     "Emulation",
     "EmulatorSet",
@@ -34,12 +39,15 @@ __all__ = [
     "Meshing",
     "NothingLeft",
     "Progress",
+    "Recovered",
     "RunResult",
     "RunTable",
+    "SamplingSettings",
     "Scene",
     "Sensitivity",
     "Targets",
     "__version__",
+    "calibrate",
     "emulate",
     "load_emulators",
     "load_scene",
@@ -50,6 +58,7 @@ __all__ = [
     "read_deck",
     "read_runs",
     "read_targets",
+    "recover",
     "rerun",
     "save_emulators",
     "sensitivity",
@@ -59,6 +68,7 @@ __all__ = [
 
 _HOMES = {
     "lacli.api.anatomy": ("Meshing", "mesh"),
+    "lacli.api.calibration": ("Calibrated", "Recovered", "calibrate", "recover"),
     "lacli.api.inference": ("Emulation", "Matching", "NothingLeft", "Sensitivity", "emulate", "match", "sensitivity"),
     "lacli.api.mechanics": ("read_deck", "rerun", "simulate", "write_deck"),
     "lacli.api.progress": ("Progress",),
@@ -70,13 +80,17 @@ _HOMES = {
     "lacli.inference.emulation.emulator_set": ("EmulatorSet", "load_emulators", "save_emulators"),
     "lacli.mechanics.simulation": ("RunResult",),
 }
-_HOME = {name: home for home, names in _HOMES.items() for name in names}
+_HOME = {name: (home, name) for home, names in _HOMES.items() for name in names} | {
+    "CalibrationSettings": ("lacli.calibration.calibration", "Settings"),
+    "SamplingSettings": ("lacli.inference.sampling.posterior", "Settings"),
+}
 
 
 def __getattr__(name: str) -> object:
     if name not in _HOME:
         raise AttributeError(f"module 'lacli' has no attribute {name!r}")
-    return getattr(importlib.import_module(_HOME[name]), name)
+    home, there = _HOME[name]
+    return getattr(importlib.import_module(home), there)
 
 
 def __dir__() -> list[str]:

@@ -65,8 +65,7 @@ def command(
         from lacli.cli.terminal.scenes import read_scene
         from lacli.inference.runs import runs_identity
 
-        read_scene(scene, box=box)
-        program = simulator(scene, root, workers, scheduler)
+        program = simulator(read_scene(scene, box=box), root, workers, scheduler)
         identity = runs_identity(program, box.names, (*OUTPUTS, "edv_ml"))
         table = _place_of_runs(table, identity, fresh)
     else:

@@ -21,7 +21,6 @@ from lacli.cli.terminal.tables import (
     box_of,
     fitted,
     selected,
-    superseded,
     warn,
 )
 
@@ -51,7 +50,7 @@ def command(
     """
     import pandas as pd
 
-    from lacli.base.files import check_folder, replacing
+    from lacli.base.files import check_folder, replacing, superseded
     from lacli.contracts.identity import identify, write_identity
     from lacli.contracts.targets import read_targets
     from lacli.inference.emulation.emulator_set import load_emulators

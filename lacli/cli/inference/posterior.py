@@ -21,7 +21,6 @@ from lacli.cli.terminal.tables import (
     box_of,
     covered,
     fitted,
-    superseded,
     warn,
 )
 
@@ -56,7 +55,7 @@ def command(
     """
     import pandas as pd
 
-    from lacli.base.files import check_folder, replacing, write_json
+    from lacli.base.files import check_folder, replacing, superseded, write_json
     from lacli.contracts.identity import conflict, parse_identity, settle
     from lacli.contracts.targets import read_targets
     from lacli.inference.matching.matching import Region, Wave

@@ -38,12 +38,6 @@ Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of all random num
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")]
 
 
-def superseded(folder: Path, *names: str) -> None:
-    """Remove what an earlier call left in the folder and this one does not write: it would show another result."""
-    for name in names:
-        (folder / name).unlink(missing_ok=True)
-
-
 def read(inputs: Path | None, outputs: Path | None, names: list[str] | None) -> RunTable:
     """The table of runs that --inputs and --outputs name; its notes go to standard error."""
     from lacli.contracts.tables.table import read_runs
