@@ -14,6 +14,7 @@ from lacli.base.version import __version__
 if TYPE_CHECKING:
     from lacli.api.anatomy import Meshing, mesh
     from lacli.api.calibration import Calibrated, Recovered, calibrate, recover
+    from lacli.api.design import Design, design
     from lacli.api.inference import Emulation, Matching, NothingLeft, Sensitivity, emulate, match, sensitivity
     from lacli.api.mechanics import read_deck, rerun, simulate, write_deck
     from lacli.api.progress import Progress
@@ -32,6 +33,7 @@ __all__ = [
     "Calibrated",
     "CalibrationSettings",
     "Cancelled",
+    "Design",
     "Emulation",
     "EmulatorSet",
     "LacliError",
@@ -48,6 +50,7 @@ __all__ = [
     "Targets",
     "__version__",
     "calibrate",
+    "design",
     "emulate",
     "load_emulators",
     "load_scene",
@@ -69,6 +72,7 @@ __all__ = [
 _HOMES = {
     "lacli.api.anatomy": ("Meshing", "mesh"),
     "lacli.api.calibration": ("Calibrated", "Recovered", "calibrate", "recover"),
+    "lacli.api.design": ("Design", "design"),
     "lacli.api.inference": ("Emulation", "Matching", "NothingLeft", "Sensitivity", "emulate", "match", "sensitivity"),
     "lacli.api.mechanics": ("read_deck", "rerun", "simulate", "write_deck"),
     "lacli.api.progress": ("Progress",),
