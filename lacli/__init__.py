@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING
 from lacli.base.version import __version__
 
 if TYPE_CHECKING:
-    from lacli.api.anatomy import Meshing, mesh
+    from lacli.api.anatomy import FatSegmentation, Meshing, Synthesis, fat, mesh, synthesize
     from lacli.api.calibration import Calibrated, Recovered, calibrate, recover
     from lacli.api.design import Design, design
     from lacli.api.inference import Emulation, Matching, NothingLeft, Sensitivity, emulate, match, sensitivity
-    from lacli.api.mechanics import read_deck, rerun, simulate, write_deck
+    from lacli.api.mechanics import Tradeoff, doctor, read_deck, rerun, simulate, tradeoff, verify, write_deck
+    from lacli.api.motion import Tracking, track
+    from lacli.api.posterior import Posterior, posterior
     from lacli.api.progress import Progress
     from lacli.base.errors import Cancelled, LacliError
     from lacli.calibration.calibration import Settings as CalibrationSettings
@@ -26,7 +28,9 @@ if TYPE_CHECKING:
     from lacli.inference.box import Box, make_box, read_box
     from lacli.inference.emulation.emulator_set import EmulatorSet, load_emulators, save_emulators
     from lacli.inference.sampling.posterior import Settings as SamplingSettings
+    from lacli.mechanics.installation import Check as InstallationCheck
     from lacli.mechanics.simulation import RunResult
+    from lacli.verification.problems import Check as VerificationCheck
 
 __all__ = [
     "Box",
@@ -36,10 +40,13 @@ __all__ = [
     "Design",
     "Emulation",
     "EmulatorSet",
+    "FatSegmentation",
+    "InstallationCheck",
     "LacliError",
     "Matching",
     "Meshing",
     "NothingLeft",
+    "Posterior",
     "Progress",
     "Recovered",
     "RunResult",
@@ -47,16 +54,23 @@ __all__ = [
     "SamplingSettings",
     "Scene",
     "Sensitivity",
+    "Synthesis",
     "Targets",
+    "Tracking",
+    "Tradeoff",
+    "VerificationCheck",
     "__version__",
     "calibrate",
     "design",
+    "doctor",
     "emulate",
+    "fat",
     "load_emulators",
     "load_scene",
     "make_box",
     "match",
     "mesh",
+    "posterior",
     "read_box",
     "read_deck",
     "read_runs",
@@ -66,15 +80,21 @@ __all__ = [
     "save_emulators",
     "sensitivity",
     "simulate",
+    "synthesize",
+    "track",
+    "tradeoff",
+    "verify",
     "write_deck",
 ]
 
 _HOMES = {
-    "lacli.api.anatomy": ("Meshing", "mesh"),
+    "lacli.api.anatomy": ("FatSegmentation", "Meshing", "Synthesis", "fat", "mesh", "synthesize"),
     "lacli.api.calibration": ("Calibrated", "Recovered", "calibrate", "recover"),
     "lacli.api.design": ("Design", "design"),
     "lacli.api.inference": ("Emulation", "Matching", "NothingLeft", "Sensitivity", "emulate", "match", "sensitivity"),
-    "lacli.api.mechanics": ("read_deck", "rerun", "simulate", "write_deck"),
+    "lacli.api.mechanics": ("Tradeoff", "doctor", "read_deck", "rerun", "simulate", "tradeoff", "verify", "write_deck"),
+    "lacli.api.motion": ("Tracking", "track"),
+    "lacli.api.posterior": ("Posterior", "posterior"),
     "lacli.api.progress": ("Progress",),
     "lacli.base.errors": ("Cancelled", "LacliError"),
     "lacli.contracts.scene": ("Scene", "load_scene"),
@@ -86,7 +106,9 @@ _HOMES = {
 }
 _HOME = {name: (home, name) for home, names in _HOMES.items() for name in names} | {
     "CalibrationSettings": ("lacli.calibration.calibration", "Settings"),
+    "InstallationCheck": ("lacli.mechanics.installation", "Check"),
     "SamplingSettings": ("lacli.inference.sampling.posterior", "Settings"),
+    "VerificationCheck": ("lacli.verification.problems", "Check"),
 }
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lacli.api.posterior import check_prior
 from lacli.api.progress import Cancel, OnProgress, Stage
 from lacli.base.errors import UsageError
 
@@ -165,8 +166,7 @@ def recover(
 def _check(settings: Settings, folder: Path) -> None:
     from lacli.base.files import check_folder
 
-    if settings.prior not in ("nroy", "box"):
-        raise UsageError(f"--prior {settings.prior}: must be nroy or box.")
+    check_prior(settings.prior)
     check_folder(folder)
 
 
