@@ -84,7 +84,7 @@ def posterior(
     check_prior(prior)
     check_folder(folder)
     settings = settings or mcmc.Settings()
-    targets = targets.select(emulators.outputs).widened(emulators.error_sd)
+    targets = targets.select(emulators.outputs)
     if box is None:
         box = table_box(emulators.inputs, np.vstack(emulators.range()))
     elif box.names != emulators.inputs:

@@ -10,7 +10,7 @@ import pandas as pd
 from lacli.base.errors import TableError, UsageError
 from lacli.calibration.calibration import Calibration, Monitor, Settings, calibrate, calibration_identity, given_runs, obstacle
 from lacli.contracts.identity import settle
-from lacli.contracts.tables.columns import error_of
+from lacli.contracts.tables.columns import error_of, to_numbers
 from lacli.contracts.tables.table import is_bookkeeping, read_frame
 from lacli.contracts.targets import Targets
 from lacli.inference.box import RANGES, Box, table_box
@@ -50,7 +50,7 @@ def _box_of(frame: pd.DataFrame, targets: Targets) -> Box:
 
 
 def _number(column: pd.Series) -> pd.Series:
-    values = pd.to_numeric(column, errors="coerce")
+    values = to_numbers(column)
     if values.isna().any():
         row = int(values.isna().to_numpy().argmax())
         cell = column.iloc[row]
