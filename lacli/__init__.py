@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from lacli.base.errors import Cancelled, LacliError
     from lacli.calibration.calibration import Settings as CalibrationSettings
     from lacli.contracts.scene import Scene, load_scene
-    from lacli.contracts.tables.table import RunTable, read_runs
+    from lacli.contracts.tables.table import RunTable, read_one, read_runs
     from lacli.contracts.targets import Targets, read_targets
     from lacli.inference.box import Box, make_box, read_box
     from lacli.inference.emulation.emulator_set import EmulatorSet, load_emulators, save_emulators
@@ -73,6 +73,7 @@ __all__ = [
     "posterior",
     "read_box",
     "read_deck",
+    "read_one",
     "read_runs",
     "read_targets",
     "recover",
@@ -98,7 +99,7 @@ _HOMES = {
     "lacli.api.progress": ("Progress",),
     "lacli.base.errors": ("Cancelled", "LacliError"),
     "lacli.contracts.scene": ("Scene", "load_scene"),
-    "lacli.contracts.tables.table": ("RunTable", "read_runs"),
+    "lacli.contracts.tables.table": ("RunTable", "read_one", "read_runs"),
     "lacli.contracts.targets": ("Targets", "read_targets"),
     "lacli.inference.box": ("Box", "make_box", "read_box"),
     "lacli.inference.emulation.emulator_set": ("EmulatorSet", "load_emulators", "save_emulators"),
