@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from lacli.api.motion import Tracking, track
     from lacli.api.posterior import Posterior, posterior
     from lacli.api.progress import Progress
+    from lacli.api.study import stats
     from lacli.base.errors import Cancelled, LacliError
     from lacli.calibration.calibration import Settings as CalibrationSettings
     from lacli.contracts.scene import Scene, load_scene
@@ -81,6 +82,7 @@ __all__ = [
     "save_emulators",
     "sensitivity",
     "simulate",
+    "stats",
     "synthesize",
     "track",
     "tradeoff",
@@ -97,6 +99,7 @@ _HOMES = {
     "lacli.api.motion": ("Tracking", "track"),
     "lacli.api.posterior": ("Posterior", "posterior"),
     "lacli.api.progress": ("Progress",),
+    "lacli.api.study": ("stats",),
     "lacli.base.errors": ("Cancelled", "LacliError"),
     "lacli.contracts.scene": ("Scene", "load_scene"),
     "lacli.contracts.tables.table": ("RunTable", "read_one", "read_runs"),
