@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from lacli.api.posterior import Posterior, posterior
     from lacli.api.progress import Progress
     from lacli.api.segmentation import segment
-    from lacli.api.study import Report, stats, write_report
+    from lacli.api.study import Report, compare, stats, write_report
     from lacli.base.errors import Cancelled, LacliError
     from lacli.calibration.calibration import Settings as CalibrationSettings
     from lacli.contracts.scene import Scene, load_scene
@@ -68,6 +68,7 @@ __all__ = [
     "VerificationCheck",
     "__version__",
     "calibrate",
+    "compare",
     "design",
     "doctor",
     "emulate",
@@ -109,7 +110,7 @@ _HOMES = {
     "lacli.api.posterior": ("Posterior", "posterior"),
     "lacli.api.progress": ("Progress",),
     "lacli.api.segmentation": ("segment",),
-    "lacli.api.study": ("Report", "stats", "write_report"),
+    "lacli.api.study": ("Report", "compare", "stats", "write_report"),
     "lacli.base.errors": ("Cancelled", "LacliError"),
     "lacli.contracts.scene": ("Scene", "load_scene"),
     "lacli.contracts.tables.table": ("RunTable", "read_one", "read_runs"),

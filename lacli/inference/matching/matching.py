@@ -21,7 +21,7 @@ from lacli.base.threads import single_threaded
 from lacli.contracts.targets import Targets
 from lacli.inference.box import Box
 from lacli.inference.design import farthest
-from lacli.inference.emulation.emulator_set import EmulatorSet
+from lacli.inference.emulation.emulator_set import AnyEmulators
 from lacli.inference.matching.nroy import RegionSample, sample_region
 
 # a region smaller than this share of the sweep's points is measured by nested levels instead
@@ -34,7 +34,7 @@ _LEAST_VARIANCE = 1e-9  # of a component, in the targets' own variances: roundin
 class Wave:
     """One wave: emulators of the outputs of ``targets`` (same order) and the threshold on I."""
 
-    emulators: EmulatorSet
+    emulators: AnyEmulators
     targets: Targets
     threshold: float
 
