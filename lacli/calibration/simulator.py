@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lacli.contracts.parameters import QUANTITIES
-from lacli.contracts.scene import Scene, load_scene, with_parameters
+from lacli.contracts.scene import Scene, with_parameters
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -51,18 +51,16 @@ class SceneSimulator:
         return known_errors(self.scene)
 
 
-def simulator(
-    scene_file: Path, root: Path, workers: int | None = None, scheduler: str | None = None, overrides: list[str] | None = None
-) -> SceneSimulator:
-    """The simulator of a scene file. Raises SceneError, and StorageError where nothing can be written to ``root``.
+def simulator(scene: Scene, root: Path, workers: int | None = None, scheduler: str | None = None) -> SceneSimulator:
+    """The simulator of a scene. Raises StorageError where nothing can be written to ``root``.
 
     Neither fields nor the unloaded state are computed (a calibration makes hundreds of runs and reads their features).
     """
     from lacli.base.files import check_folder
 
     check_folder(root, "--store")
-    scene = load_scene(scene_file, [*(overrides or []), "outputs.fields=none", "outputs.unloaded=false"])
-    return SceneSimulator(scene, root, workers, scheduler)
+    outputs = scene.outputs.model_copy(update={"fields": "none", "unloaded": False})
+    return SceneSimulator(scene.model_copy(update={"outputs": outputs}), root, workers, scheduler)
 
 
 def _outcome(result: RunResult, errors: dict[str, float]) -> Outcome:

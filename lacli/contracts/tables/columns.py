@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 import pandas as pd
@@ -61,9 +61,11 @@ def error_of(name: str, names: Sequence[str]) -> str | None:
     return next((name.removesuffix(s) for s in ERROR_SUFFIXES if name.endswith(s) and name.removesuffix(s) in names), None)
 
 
-def derivative_of(name: str, outputs: Sequence[str]) -> str | None:
-    """The output among ``outputs`` of which a column named ``d<output>/d<input>`` is a derivative."""
-    return next((output for output in outputs if name.startswith(f"d{output}/d")), None)
+def derivative_of(name: str, outputs: Collection[str]) -> tuple[str, str] | None:
+    """The output among ``outputs`` of which a column named ``d<output>/d<input>`` is a derivative, and the input it is by."""
+    parts = name[1:].split("/d") if name.startswith("d") else []
+    splits = (("/d".join(parts[:i]), "/d".join(parts[i:])) for i in range(1, len(parts)))
+    return next(((output, given) for output, given in splits if output in outputs and given), None)
 
 
 def _word(value: object) -> str:
@@ -98,6 +100,21 @@ def run_states(frame: pd.DataFrame, where: str) -> tuple[BoolArray, BoolArray] |
     return done, failed
 
 
+def to_numbers(column: pd.Series) -> pd.Series:
+    """The column as floats where its cells are numbers, NaN elsewhere; a whole number beyond all floats is infinite."""
+    try:
+        return pd.to_numeric(column, errors="coerce").astype(float)
+    except OverflowError:
+        return pd.to_numeric(column.map(_bounded), errors="coerce").astype(float)
+
+
+def _bounded(value: object) -> object:
+    try:
+        return float(str(value)) if isinstance(value, (int, str)) else value
+    except ValueError:
+        return value
+
+
 def numbers(frame: pd.DataFrame, what: str) -> pd.DataFrame:
     """The frame as floats; a cell or a column that holds no number is an error that names it."""
     columns = {}
@@ -112,7 +129,7 @@ def numbers(frame: pd.DataFrame, what: str) -> pd.DataFrame:
             told = {"c": "complex numbers", "m": "durations"}.get(kind, "dates")
             raise TableError(f"{what}: column {name} holds {told}, which are not numbers here. Convert or remove it.")
         try:
-            values = pd.to_numeric(column, errors="coerce")
+            values = to_numbers(column)
         except (TypeError, ValueError) as error:
             raise TableError(f"{what}: column {name} does not hold one number a cell ({error}).") from error
         bad = values.isna() & column.notna() & ~column.astype(str).str.strip().str.lower().isin(["nan", "", "na", "none"])

@@ -15,7 +15,7 @@ from lacli.base.errors import TableError
 
 # a table of runs is small; what is larger is another kind of file
 MOST_ROWS = 200_000
-MOST_COLUMNS = 2_000
+MOST_COLUMNS = 10_000  # 300 outputs and their derivatives by 30 inputs
 MOST_BYTES = 512 << 20
 _MOST_CELLS = 20_000_000
 _LONGEST_HEADER = 1 << 20
@@ -63,8 +63,10 @@ def read_frame(path: Path) -> pd.DataFrame:
     twice = sorted(set(frame.columns[frame.columns.duplicated()]))
     if twice:
         raise TableError(f"{path}: column {', '.join(twice)} occurs twice. Rename or remove one.")
-    if all(_is_number(name) for name in frame.columns):
-        raise TableError(f"{path}: the first line holds numbers, not column names. Add a header line with names and units.")
+    if numbers := [str(name) for name in frame.columns if _is_number(name)]:
+        raise TableError(
+            f"{path}: the first line holds numbers, not column names ({listed(numbers)}). Add a header line with names and units."
+        )
     return frame
 
 
