@@ -94,7 +94,8 @@ def test_settings_become_arguments(home: Path) -> None:
 @pytest.mark.parametrize(
     "text",
     ["[calibrat]\na = 1", "[calibrate]\nout = 'x'", "[calibrate]\n'Bad name' = 1", "[calibrate]\nset = '--out=x'",
-     "[calibrate]\nx = {a = 1}", "[slurm]\nqueue = 'x'", "[slurm]\naccount = 'a; rm -rf x'", "[slurm]\nmodules = ['$(x)']", "mesh = 1"],
+     "[calibrate]\nx = {a = 1}", "[slurm]\nqueue = 'x'", "[slurm]\naccount = 'a; rm -rf x'", "[slurm]\nmodules = ['$(x)']",
+     "mesh = 1"],
 )  # fmt: skip
 def test_settings_that_could_be_another_thing_are_refused(home: Path, text: str) -> None:
     (home / "s.toml").write_text(text)
