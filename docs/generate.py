@@ -17,6 +17,7 @@ MADE = "<!-- made by docs/generate.py; do not edit -->\n"
 ROOMS = {
     "cli": "a command a file: parse, call, print",
     "api": "every verb as one call of Python",
+    "cohort": "many patients: table, statistics",
     "report": "figures and tables",
     "calibration": "one patient: waves, posterior, answer",
     "synthetic": "atria and images whose truth is known",

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from lacli.api.inference import Emulation, Matching, NothingLeft, Sensitivity, emulate, match, sensitivity
     from lacli.api.mechanics import read_deck, rerun, simulate, write_deck
     from lacli.api.progress import Progress
+    from lacli.api.study import stats
     from lacli.base.errors import Cancelled, LacliError
     from lacli.contracts.scene import Scene, load_scene
     from lacli.contracts.tables.table import RunTable, read_runs
@@ -54,6 +55,7 @@ __all__ = [
     "save_emulators",
     "sensitivity",
     "simulate",
+    "stats",
     "write_deck",
 ]
 
@@ -62,6 +64,7 @@ _HOMES = {
     "lacli.api.inference": ("Emulation", "Matching", "NothingLeft", "Sensitivity", "emulate", "match", "sensitivity"),
     "lacli.api.mechanics": ("read_deck", "rerun", "simulate", "write_deck"),
     "lacli.api.progress": ("Progress",),
+    "lacli.api.study": ("stats",),
     "lacli.base.errors": ("Cancelled", "LacliError"),
     "lacli.contracts.scene": ("Scene", "load_scene"),
     "lacli.contracts.tables.table": ("RunTable", "read_runs"),

@@ -199,8 +199,8 @@ def match(
             raise UsageError(
                 "match: the emulators of an earlier wave must have the inputs and outputs of this wave, in its order."
             )
-    waves = tuple(Wave(before, targets.widened(before.error_sd), earlier_threshold) for before in earlier)
-    wave = Wave(emulators, targets.widened(emulators.error_sd), threshold)
+    waves = tuple(Wave(before, targets, earlier_threshold) for before in earlier)
+    wave = Wave(emulators, targets, threshold)
     region = Region(box, (*waves, wave))
     runs = emulators.training_inputs() if runs is None else runs
     candidates = None  # the whole box, or what the earlier waves have not ruled out

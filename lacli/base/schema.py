@@ -2,17 +2,21 @@
 
 A file is a stranger until it is read: its directory and each array's header are looked at before an array is decompressed,
 so that no more memory is taken than the file is allowed; no pickle is loaded.
+
+A file that ``write_arrays`` wrote carries a seal, the digest of its arrays: one that was edited since is told from one that is
+as it was written. ``array_file`` looks at it when the block ends well; what computes on arrays inside calls ``check_seal`` first.
 """
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import math
 import struct
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, Literal
@@ -21,11 +25,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lacli.base.errors import InputError
+from lacli.base.files import replacing
 
 Kind = Literal["float", "int", "bool", "text"]
 
 # all arrays of a file together, decompressed: 20,000 steps of 4 x 56 walkers in 14 inputs are 0.5 GB
 LARGEST_BYTES = 4 << 30
+SEAL = "seal"
 _MOST_MEMBERS = 20_000
 _LONGEST_TEXT = 1 << 20
 _WORDS = {"float": "floating point numbers", "int": "whole numbers", "bool": "yes or no", "text": "text"}
@@ -62,10 +68,10 @@ Schema = Mapping[str, Array]
 
 
 class ArrayFile:
-    """An open file of arrays; ``dims``: sizes of the named dimensions met so far."""
+    """An open file of arrays; ``dims``: sizes of the named dimensions met so far; ``sealed``: it must carry a seal."""
 
-    def __init__(self, path: Path, archive: zipfile.ZipFile) -> None:
-        self.path, self.dims = path, dict[str, int]()
+    def __init__(self, path: Path, archive: zipfile.ZipFile, sealed: bool = False) -> None:
+        self.path, self.dims, self._sealed, self._checked = path, dict[str, int](), sealed, False
         self._archive = archive
         self._members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
 
@@ -89,10 +95,22 @@ class ArrayFile:
         return found
 
     def everything(self) -> Iterator[tuple[str, NDArray[Any]]]:
-        """Every array of the file by name, as it is, in the order of the names; none of Python's own objects."""
+        """Every array of the file by name but its seal, as it is, in the order of the names; none of Python's own objects."""
         for name in sorted(self._members):
-            value = self._value(name, None)
-            yield name, np.ascontiguousarray(value)
+            if name != SEAL:
+                yield name, np.ascontiguousarray(self._value(name, None))
+
+    def check_seal(self) -> None:
+        """Raises _Unfit where the arrays are not those that were sealed, or a file that must carry a seal has none."""
+        if self._checked:
+            return
+        if SEAL in self._members:
+            seal = self._value(SEAL, Array("text"))
+            if str(seal) != _seal(self.everything()):
+                raise _Unfit("its arrays are not those that were written: it was edited")
+        elif self._sealed:
+            raise _Unfit("it carries no digest of its arrays: it was edited, or written by an earlier version")
+        self._checked = True
 
     def _array(self, name: str, wanted: Array) -> NDArray[Any]:
         value = self._value(name, wanted)
@@ -144,23 +162,49 @@ class _Unfit(ValueError):
 
 @contextlib.contextmanager
 def array_file(
-    path: Path, what: str, remedy: str, *, error: type[InputError] = InputError, largest: int = LARGEST_BYTES
+    path: Path,
+    what: str,
+    remedy: str,
+    *,
+    error: type[InputError] = InputError,
+    largest: int = LARGEST_BYTES,
+    sealed: bool = False,
 ) -> Iterator[ArrayFile]:
     """Open a file of arrays; whatever is wrong with it, or with what is read inside the block, becomes one ``error``.
 
     what: "an emulator file", for the message; remedy: what to do, a sentence. largest: bytes of all arrays, decompressed.
+    sealed: the file is ours, kept to be used again: without a seal it is not believed. A seal that is there must be right.
     """
     path = Path(path)
     try:
         with path.open("rb") as stream, zipfile.ZipFile(_seekable(stream)) as archive:
             _check_directory(archive, largest)
-            yield ArrayFile(path, archive)
+            file = ArrayFile(path, archive, sealed)
+            yield file
+            file.check_seal()
     except InputError:
         raise
     except _Unfit as unfit:
         raise error(f"{path}: not {what}, or a damaged one ({unfit}). {remedy}") from unfit
     except _DAMAGED as damage:
         raise error(f"{path}: not {what}, or a damaged one ({_words(damage)}). {remedy}") from damage
+
+
+def write_arrays(path: Path, arrays: Mapping[str, Any], *, compressed: bool = True) -> None:
+    """Write named arrays with their seal to an .npz file, whole or not at all. Raises StorageError."""
+    sealed: dict[str, Any] = {name: np.asarray(value) for name, value in arrays.items()}
+    sealed[SEAL] = np.array(_seal((name, np.ascontiguousarray(sealed[name])) for name in sorted(sealed)))
+    with replacing(Path(path)) as temporary, temporary.open("wb") as stream:
+        (np.savez_compressed if compressed else np.savez)(stream, **sealed)
+
+
+def _seal(arrays: Iterable[tuple[str, NDArray[Any]]]) -> str:
+    """Digest of arrays by name, in the order given: types, shapes and values."""
+    total = hashlib.sha256()
+    for name, value in arrays:
+        total.update(f"\0{name}\0{value.dtype.str}\0{value.shape}\0".encode())
+        total.update(value.tobytes())
+    return total.hexdigest()
 
 
 def unfit(reason: str) -> ValueError:

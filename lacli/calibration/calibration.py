@@ -160,9 +160,7 @@ def calibrate(
         place = folder / f"wave_{number}"
         tick = _ticker(monitor, "emulators", number, reports)
         emulators, notes, finished_x, failed_x = _emulators(log, x, targets, settings, place, tick)
-        wave = Wave(
-            emulators, targets.widened(emulators.error_sd), settings.thresholds[min(number, len(settings.thresholds)) - 1]
-        )
+        wave = Wave(emulators, targets, settings.thresholds[min(number, len(settings.thresholds)) - 1])
         region = region.add(wave)
         monitor(Status("matching", number, 0, 1, tuple(reports)))
         try:
@@ -293,7 +291,7 @@ def _kept(file: Path, identity: Identity) -> bool:
     """Whether the .npz file was made from the same. Raises InputError where it is damaged."""
     if not file.is_file():
         return False
-    with array_file(file, "a wave's result", "Remove it to make it anew.") as arrays:
+    with array_file(file, "a wave's result", "Remove it to make it anew.", sealed=True) as arrays:
         found = arrays.read({"identity": Array("text")}, optional=("identity",))
         return "identity" in found and parse_identity(str(found["identity"])) == identity
 

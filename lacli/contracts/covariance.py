@@ -9,8 +9,7 @@ import numpy as np
 
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import TableError
-from lacli.base.files import replacing
-from lacli.base.schema import Array, array_file
+from lacli.base.schema import Array, array_file, write_arrays
 
 _SCHEMA = {"names": Array("text", ("p",), distinct=True), "covariance": Array("float", ("p", "p"))}
 _BYTES = 1 << 28  # of 5,000 targets
@@ -19,8 +18,7 @@ _SAME_SD = 1e-3
 
 def write_covariance(path: Path, names: Sequence[str], covariance: FloatArray) -> None:
     """Write ``names`` (p,) and ``covariance`` (p, p) as an .npz."""
-    with replacing(path) as temporary:
-        np.savez_compressed(temporary, names=np.array(list(names)), covariance=covariance)
+    write_arrays(path, {"names": np.array(list(names)), "covariance": covariance})
 
 
 def read_covariance(targets: Path, file: object, names: Sequence[str], sd: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ import numpy as np
 
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import InputError
-from lacli.base.schema import Array, array_file, unfit
+from lacli.base.schema import Array, array_file, unfit, write_arrays
 
 FILE = "motion.npz"
 # a position further than this from the image's origin is no millimetre
@@ -47,15 +47,12 @@ class Motion:
 
 
 def save_motion(motion: Motion, folder: Path) -> Path:
-    """Write ``motion.npz`` into ``folder`` (under a temporary name first)."""
-    folder.mkdir(parents=True, exist_ok=True)
-    target = folder / FILE
-    partial = folder / (FILE + ".partial.npz")
-    np.savez_compressed(
-        partial, times=motion.times, wall_point=motion.wall_point, positions=motion.positions, es_time=np.array(motion.es_time)
-    )
-    partial.replace(target)
-    return target
+    """Write ``motion.npz`` into ``folder`` (whole or not at all), with a seal; one that users write needs none."""
+    arrays = {
+        "times": motion.times, "wall_point": motion.wall_point, "positions": motion.positions, "es_time": float(motion.es_time),
+    }  # fmt: skip
+    write_arrays(folder / FILE, arrays)
+    return folder / FILE
 
 
 def load_motion(folder: Path) -> Motion:

@@ -41,14 +41,6 @@ class Targets:
         covariance = None if self.covariance is None else self.covariance[np.ix_(j, j)]
         return Targets(tuple(names), self.mean[j], self.sd[j], covariance)
 
-    def widened(self, error_sd: FloatArray) -> Targets:
-        """The targets with the simulator's own error (p,), one standard deviation, added to their uncertainty: what a run
-        says differs from the truth by both."""
-        if not error_sd.any():
-            return self
-        covariance = None if self.covariance is None else self.covariance + np.diag(error_sd**2)
-        return Targets(self.names, self.mean, np.hypot(self.sd, error_sd), covariance)
-
 
 def read_targets(path: Path) -> Targets:
     """Read ``targets.toml``: a table for each feature with ``mean`` and ``sd``, at the top or under ``[targets]``.

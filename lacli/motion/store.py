@@ -15,6 +15,7 @@ from lacli.anatomy.surface_features import Endocardium
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import StorageError
 from lacli.base.files import replacing, write_json, write_text
+from lacli.base.schema import write_arrays
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.covariance import write_covariance
 from lacli.contracts.features import parse
@@ -89,12 +90,12 @@ def write_all(folder: Path, bundle: Bundle, tracked: Tracked, found: Covaried, n
     normal, tangential = _mean_error(tracked)
     endo = np.unique(bundle.cavity_triangles())
     # one file: what a simulation needs of the annulus, and beside it what was tracked and how well
-    with replacing(folder / "motion.npz") as temporary:
-        np.savez_compressed(
-            temporary, times=course.times, wall_point=ids, positions=course.positions[:, ids], es_time=np.array(phases.es),
-            endo_point=endo, endo_positions=course.positions[:, endo], engine=np.array(str(tracked.info["engine"])),
-            error_normal_mm=np.array(normal), error_tangential_mm=np.array(tangential),
-        )  # fmt: skip
+    arrays = {
+        "times": course.times, "wall_point": ids, "positions": course.positions[:, ids], "es_time": phases.es,
+        "endo_point": endo, "endo_positions": course.positions[:, endo], "engine": str(tracked.info["engine"]),
+        "error_normal_mm": normal, "error_tangential_mm": tangential,
+    }  # fmt: skip
+    write_arrays(folder / "motion.npz", arrays)
     rows = [
         {"time": float(t), "phase": phases.name(float(t)), **row} for t, row in zip(course.times, course.features, strict=True)
     ]

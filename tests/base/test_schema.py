@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lacli.base.errors import InputError
-from lacli.base.schema import Array, array_file
+from lacli.base.schema import SEAL, Array, array_file, write_arrays
 
 SCHEMA = {
     "t": Array(shape=("f",), rising=True),
@@ -123,3 +123,53 @@ def test_bombs_pickles_and_lies_of_headers_take_no_memory(tmp_path: Path) -> Non
     np.savez(path, t=np.array([{}], dtype=object))
     with pytest.raises(InputError, match="Python objects"):
         read(path)
+
+
+# --- the seal of what is kept -----------------------------------------------------------------------------------------
+
+EDITS = {
+    "reversed": lambda a: a[::-1] if a.ndim else a,
+    "its first zero": lambda a: np.where(np.arange(a.size).reshape(a.shape), a, a * 0) if a.dtype.kind in "fi" else a,
+    "smaller by one bit": lambda a: np.nextafter(a, -np.inf) if a.dtype.kind == "f" else a,
+    "another type": lambda a: a.astype(np.float32) if a.dtype.kind == "f" else a.astype(a.dtype.newbyteorder()),
+    "as one line": lambda a: a.reshape(1, *a.shape),
+}
+
+
+@given(name=st.sampled_from(sorted(good())), edit=st.sampled_from(sorted(EDITS)))
+@settings(max_examples=80, deadline=None)
+def test_an_array_that_was_edited_breaks_the_seal(tmp_path_factory: pytest.TempPathFactory, name: str, edit: str) -> None:
+    path = tmp_path_factory.mktemp("s") / "a.npz"
+    write_arrays(path, good())
+    with np.load(path) as stored:
+        arrays = dict(stored)
+    before = arrays[name]
+    arrays[name] = EDITS[edit](before)
+    same = arrays[name].dtype == before.dtype and arrays[name].shape == before.shape and np.array_equal(arrays[name], before)
+    write(path, arrays)
+    if same:
+        assert set(read(path)) == set(good())
+        return
+    with pytest.raises(InputError, match="Make it again"):
+        read(path)
+
+
+@pytest.mark.parametrize("how", ["an array more", "two exchanged", "no seal", "the seal of another"])
+def test_a_kept_file_is_believed_only_as_it_was_written(tmp_path: Path, how: str) -> None:
+    path, other = tmp_path / "a.npz", tmp_path / "b.npz"
+    write_arrays(path, {"x": np.arange(3.0), "y": np.arange(3.0) + 1})
+    write_arrays(other, {"x": np.arange(3.0), "y": np.zeros(3)})
+    with np.load(path) as stored, np.load(other) as foreign:
+        arrays, seal = dict(stored), foreign[SEAL]
+    arrays |= {
+        "an array more": {"z": np.zeros(1)}, "two exchanged": {"x": arrays["y"], "y": arrays["x"]}, "no seal": {},
+        "the seal of another": {SEAL: seal},
+    }[how]  # fmt: skip
+    if how == "no seal":
+        del arrays[SEAL]
+    write(path, arrays)
+    with (
+        pytest.raises(InputError, match=r"a\.npz: not a thing.*edited.*Make it again"),
+        array_file(path, "a thing", "Make it again.", sealed=True) as file,
+    ):
+        file.read({"x": Array(shape=("n",))})

@@ -213,7 +213,7 @@ def test_known_discretisation_errors_reach_emulator_and_likelihood(tmp_path):
     frame.to_csv(tmp_path / "table.csv", index=False)
     log = RunLog(tmp_path / "table.csv", BOX.names, NAMES, None)
     result = calibrate(None, BOX, targets(), SETTINGS, tmp_path / "out", log, given=x)
-    assert result.emulators.error_sd == pytest.approx([0.0, 0.0, 0.3])
+    assert [np.sqrt(result.emulators.error_variance(j, x[:1])[0]) for j in range(3)] == pytest.approx([0.0, 0.0, 0.3])
     # d_two alone tells b = 4 / (d_two - c / 2) = 4 / 2 at the truth: db = 4 / 2^2 * 0.3 = 0.3 at least
     assert float(result.table[1]["sd"]) > 0.3
     assert result.fit[2]["sd"] == 0.05  # the targets as given are what is shown

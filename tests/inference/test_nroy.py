@@ -142,3 +142,29 @@ def test_a_leaning_guide_is_corrected_for(monkeypatch, corrected):
         monkeypatch.setattr(nroy._Population, "_detour", lambda *a: (detour(*a)[0], np.ones(len(a[1]), bool)))
     p = sheared_pvalue(sample_sheared().points[::5])
     assert p > 0.01 if corrected else p < 1e-6
+
+
+@pytest.mark.parametrize("d", [1, 2, 5])
+def test_levels_that_settle_above_the_region_are_not_followed_to_the_last_digit(d):
+    """The lowest level, 9, is at a corner of the box; near it what is left shrinks for ever: that is seen after few levels."""
+    box = make_box([f"x{i}" for i in range(d)], [0.0] * d, [1.0] * d)
+    asked = []
+
+    def level(x):
+        asked.append(len(x))
+        return 9.0 + x.sum(1)
+
+    with pytest.raises(EmptyRegionError) as caught:
+        sample_region(level, box, 100, seed=1, walkers=500)
+    assert caught.value.lowest < 9.0 + 0.1 * d
+    assert sum(asked) < 500 * 40 * 12  # a dozen levels of at most 40 steps; all levels to the smallest volume took 400 each
+
+
+def test_a_region_far_down_a_narrow_slope_is_still_found():
+    """A ball of radius 0.01 in five inputs, 5.26e-10 of the box, below a cone whose level is 100 at its rim's far side."""
+    centre = np.array([0.31, 0.62, 0.5, 0.47, 0.55])
+    box = make_box([f"x{i}" for i in range(5)], [0.0] * 5, [1.0] * 5)
+    found = sample_region(lambda x: np.linalg.norm(x - centre, axis=1) / 0.01, box, 500, seed=2)
+    exact = 8.0 * np.pi**2 / 15.0 * 0.01**5
+    assert abs(found.volume / exact - 1.0) < 4.0 * found.volume_sd / found.volume
+    assert (np.linalg.norm(found.points - centre, axis=1) < 0.01).all()

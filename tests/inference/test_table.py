@@ -179,9 +179,3 @@ def test_bad_boxes(tmp_path):
 def test_fewest_runs_is_enough_for_five_folds():
     for d in range(1, 15):
         assert 0.8 * fewest_runs(d) >= d + 2  # a linear mean has d + 1 coefficients
-
-
-def test_the_simulators_own_error_widens_the_targets():
-    t = Targets(("a", "b"), np.array([1.0, 2.0]), np.array([0.3, 1.0]))
-    assert t.widened(np.array([0.4, 0.0])).sd == pytest.approx([0.5, 1.0])  # hypot(0.3, 0.4)
-    assert t.widened(np.zeros(2)) is t

@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lacli.base.errors import TableError
-from lacli.contracts.tables.columns import DONE, FAILED, LABELS, UNFINISHED, run_states
+from lacli.contracts.tables.columns import DONE, FAILED, LABELS, UNFINISHED, run_states, to_numbers
+from lacli.contracts.tables.file import read_frame
 from lacli.contracts.tables.table import combine
 
 
@@ -103,3 +104,30 @@ def test_too_many_runs_are_thinned_with_a_word():
     table = combine(x, y, most=100)
     assert table.runs == 100 and "100 of 400 finished runs" in table.notes[-1]
     assert np.allclose(table.y[:, 0], table.x[:, 0] ** 2 + table.x[:, 1])
+
+
+@pytest.mark.parametrize("cells", [["9" * 400, "1"], [int("9" * 400), 1], ["1e400", "1"]])
+def test_a_number_beyond_all_floats_is_infinite_and_named(cells):
+    values = to_numbers(pd.Series(cells))
+    assert np.isinf(values[0]) and values[1] == 1.0
+    x, y = frames()
+    with pytest.raises(TableError, match="a has no finite value in row 1"):
+        combine(x.assign(a=[cells[0]] + ["1"] * 39), y)
+
+
+def test_labels_beyond_all_floats_are_kept_apart():
+    x, y = frames(9)
+    names = [str(i) * 400 for i in range(1, 10)]
+    table = combine(x.assign(run_id=names), y.assign(run_id=names).iloc[::-1].reset_index(drop=True))
+    assert np.array_equal(table.y, y.to_numpy())
+
+
+@pytest.mark.parametrize("heading", ["a,1e308", "1e400,b", "0x1.0", "a,nan", "3,4"])
+def test_a_heading_that_is_a_number_is_no_name(heading, tmp_path):
+    (tmp_path / "x.csv").write_text(f"{heading}\n" + "1,2\n" * 3)
+    if heading == "0x1.0":
+        (tmp_path / "x.csv").write_text("0x1.0,b\n1,2\n")
+        assert list(read_frame(tmp_path / "x.csv").columns) == ["0x1.0", "b"]  # no number as tables have it
+        return
+    with pytest.raises(TableError, match=r"x\.csv: the first line holds numbers"):
+        read_frame(tmp_path / "x.csv")

@@ -173,8 +173,9 @@ def _number(column: Any) -> Any:
     import pandas as pd
 
     from lacli.base.errors import TableError
+    from lacli.contracts.tables.columns import to_numbers
 
-    values = pd.to_numeric(column, errors="coerce")
+    values = to_numbers(column)
     if values.isna().any():
         row = int(values.isna().to_numpy().argmax())
         cell = column.iloc[row]

@@ -72,7 +72,7 @@ def command(
     check_folder(folder)
     targets = read_targets(targets_file)
     emulators, table = fitted(inputs, outputs, names or list(targets.names), emulators_file, seed, box_file)
-    targets = targets.select(emulators.outputs).widened(emulators.error_sd)
+    targets = targets.select(emulators.outputs)
     region = Region(box_of(emulators, box_file, table))
     runs = emulators.training_inputs()
     outside = covered(region.box, runs)

@@ -100,6 +100,21 @@ def run_states(frame: pd.DataFrame, where: str) -> tuple[BoolArray, BoolArray] |
     return done, failed
 
 
+def to_numbers(column: pd.Series) -> pd.Series:
+    """The column as floats where its cells are numbers, NaN elsewhere; a whole number beyond all floats is infinite."""
+    try:
+        return pd.to_numeric(column, errors="coerce").astype(float)
+    except OverflowError:
+        return pd.to_numeric(column.map(_bounded), errors="coerce").astype(float)
+
+
+def _bounded(value: object) -> object:
+    try:
+        return float(str(value)) if isinstance(value, (int, str)) else value
+    except ValueError:
+        return value
+
+
 def numbers(frame: pd.DataFrame, what: str) -> pd.DataFrame:
     """The frame as floats; a cell or a column that holds no number is an error that names it."""
     columns = {}
@@ -114,7 +129,7 @@ def numbers(frame: pd.DataFrame, what: str) -> pd.DataFrame:
             told = {"c": "complex numbers", "m": "durations"}.get(kind, "dates")
             raise TableError(f"{what}: column {name} holds {told}, which are not numbers here. Convert or remove it.")
         try:
-            values = pd.to_numeric(column, errors="coerce")
+            values = to_numbers(column)
         except (TypeError, ValueError) as error:
             raise TableError(f"{what}: column {name} does not hold one number a cell ({error}).") from error
         bad = values.isna() & column.notna() & ~column.astype(str).str.strip().str.lower().isin(["nan", "", "na", "none"])

@@ -63,8 +63,10 @@ def read_frame(path: Path) -> pd.DataFrame:
     twice = sorted(set(frame.columns[frame.columns.duplicated()]))
     if twice:
         raise TableError(f"{path}: column {', '.join(twice)} occurs twice. Rename or remove one.")
-    if all(_is_number(name) for name in frame.columns):
-        raise TableError(f"{path}: the first line holds numbers, not column names. Add a header line with names and units.")
+    if numbers := [str(name) for name in frame.columns if _is_number(name)]:
+        raise TableError(
+            f"{path}: the first line holds numbers, not column names ({listed(numbers)}). Add a header line with names and units."
+        )
     return frame
 
 

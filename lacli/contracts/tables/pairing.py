@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from lacli.base.errors import TableError
-from lacli.contracts.tables.columns import LABELS, is_label
+from lacli.contracts.tables.columns import LABELS, is_label, to_numbers
 
 
 def pair(inputs: pd.DataFrame, outputs: pd.DataFrame, where: str) -> tuple[pd.DataFrame, pd.DataFrame, list[str]]:
@@ -71,9 +71,9 @@ def _keys(column: pd.Series) -> list[str]:
     if column.isna().any():
         row = int(np.flatnonzero(column.isna().to_numpy())[0])
         raise TableError(f"column {column.name} labels the runs but is empty in row {row + 1}. Fill it in or remove it.")
-    number = pd.to_numeric(column, errors="coerce")
+    number = to_numbers(column)
     return [
-        f"{value:.17g}" if value == value else str(text).strip()
+        f"{value:.17g}" if np.isfinite(value) else str(text).strip()
         for value, text in zip(number.astype(float).tolist(), column.tolist(), strict=True)
     ]
 
@@ -101,8 +101,9 @@ def check_shared_columns(inputs: pd.DataFrame, outputs: pd.DataFrame, where: str
     for name in inputs.columns:
         if name not in outputs.columns or is_label(str(name)):
             continue
-        a, b = (pd.to_numeric(frame[name], errors="coerce").to_numpy(float) for frame in (inputs, outputs))
-        differs = np.flatnonzero(np.abs(a - b) > 1e-6 * np.maximum(np.abs(a), np.abs(b)))
+        a, b = (to_numbers(frame[name]).to_numpy(float) for frame in (inputs, outputs))
+        with np.errstate(invalid="ignore"):  # one that is infinite in both
+            differs = np.flatnonzero(np.abs(a - b) > 1e-6 * np.maximum(np.abs(a), np.abs(b)))
         if len(differs):
             i = int(differs[0])
             raise TableError(

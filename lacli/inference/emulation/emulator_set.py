@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import InputError
-from lacli.base.files import replacing
-from lacli.base.schema import Array, array_file, unfit
+from lacli.base.schema import Array, array_file, unfit, write_arrays
 from lacli.base.threads import one_thread
 from lacli.contracts.identity import Identity, array_digest, identify
 from lacli.contracts.tables.table import RunTable
 from lacli.inference.emulation import gp, moments
 from lacli.inference.emulation.emulator import Emulator
-from lacli.inference.emulation.scales import OutputScale
+from lacli.inference.emulation.run_errors import RunErrors, run_errors
+from lacli.inference.emulation.scales import LARGEST_EXPONENT, OutputScale
 
 FORMAT = 2
 _REMEDY = "Run `lacli emulate` again."
@@ -77,6 +77,7 @@ class EmulatorSet:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_stack", _stack(self.emulators))
+        object.__setattr__(self, "_errors", tuple(run_errors(e) for e in self.emulators))
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -87,11 +88,6 @@ class EmulatorSet:
     def runs(self) -> int:
         """Number of training runs."""
         return len(self.emulators[0].process.y)
-
-    @property
-    def error_sd(self) -> FloatArray:
-        """The runs' own errors (p,), one standard deviation in the outputs' units: 0 where none is known."""
-        return np.array([e.error_sd for e in self.emulators])
 
     def range(self) -> tuple[FloatArray, FloatArray]:
         """Lowest and highest training inputs (d,), in their units."""
@@ -119,6 +115,20 @@ class EmulatorSet:
         """Mean (m, p) and variance (m, p) of the outputs at x (m, d), in the outputs' units and their squares."""
         mean, variance = self._predict(list(range(len(self.emulators))), x)
         return mean.T, variance.T
+
+    def error_variance(self, j: int, x: FloatArray) -> FloatArray:
+        """Variance (m,) of the own error of runs at x (m, d) in output number j: 0 where the training runs tell none."""
+        errors: RunErrors | None = self._errors[j]  # type: ignore[attr-defined]
+        return np.zeros(len(x)) if errors is None else errors(x)
+
+    def predict_truth(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean (m, p) and variance (m, p) of what the runs at x (m, d) stand for, their own error counted: what a measurement
+        is held against."""
+        mean, variance = self.predict(x)
+        for j in range(len(self.emulators)):
+            if self.emulators[j].error_sd > 0:
+                variance[:, j] += self.error_variance(j, x)
+        return mean, variance
 
     def predict_mean(self, x: FloatArray) -> FloatArray:
         """Mean (m, p) alone, at a fraction of the cost; of a logarithmic output, the median (no variance is computed)."""
@@ -187,10 +197,10 @@ def _to_outputs(s: _Stack, which: list[int], mean: FloatArray, variance: FloatAr
         logs = [which[i] for i in rows]
         here: Any = slice(None) if len(rows) == len(which) else rows
         v = variance[here]
-        e = np.exp(mean[here] + 0.5 * v)
+        e = np.exp(np.minimum(mean[here] + 0.5 * v, LARGEST_EXPONENT))
         mean[here] = s.sign[logs] * (e - s.offset[logs])
         e *= e
-        variance[here] = np.expm1(v) * e
+        variance[here] = np.expm1(np.minimum(v, LARGEST_EXPONENT)) * e
 
 
 def _stack(emulators: Sequence[Emulator]) -> _Stack:
@@ -264,8 +274,7 @@ def save_emulators(path: Path, emulators: EmulatorSet, identity: Identity | None
     arrays = _arrays(emulators)
     if identity is not None:
         arrays["identity"] = np.array(identity.text())
-    with replacing(Path(path)) as temporary, temporary.open("wb") as stream:
-        np.savez_compressed(stream, **arrays)
+    write_arrays(path, arrays)
 
 
 def emulators_identity(table: RunTable, **options: Any) -> Identity:
@@ -278,17 +287,19 @@ def load_emulators(path: Path) -> EmulatorSet:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such emulator file. Make it with `lacli emulate`.")
-    with array_file(path, "an emulator file", _REMEDY) as file, one_thread():
+    with array_file(path, "an emulator file", _REMEDY, sealed=True) as file, one_thread():
         number = int(file.read({"format": Array("int")})["format"])
         if number != FORMAT:
             raise InputError(f"{path}: written in format {number}, this program reads {FORMAT}. {_REMEDY}")
         head = file.read(_NAMES)
         if not len(head["inputs"]) or not len(head["outputs"]):
             raise unfit("it names no input or no output")
-        emulators = []
-        for i, output in enumerate(head["outputs"].tolist()):
-            a = file.read({f"{i}_{name}": array for name, array in _EACH.items()})
-            emulators.append(_emulator(output, {name: a[f"{i}_{name}"] for name in _EACH}))
+        each = [file.read({f"{i}_{name}": array for name, array in _EACH.items()}) for i in range(len(head["outputs"]))]
+        file.check_seal()
+        emulators = [
+            _emulator(output, {name: a[f"{i}_{name}"] for name in _EACH})
+            for i, (output, a) in enumerate(zip(head["outputs"].tolist(), each, strict=True))
+        ]
         result = EmulatorSet(tuple(head["inputs"].tolist()), tuple(emulators))
         _check_common_range(result)
     return result

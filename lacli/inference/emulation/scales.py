@@ -21,6 +21,8 @@ _LOG_RATIO = 3.0
 _ROOM = (0.1, 0.3, 1.0)
 # a shift is one more parameter: it has to earn this much log likelihood
 _WORTH = 2.0
+# of a logarithm's moments: what is larger overflows where it is squared
+LARGEST_EXPONENT = 170.0
 
 
 @dataclass(frozen=True)
@@ -47,8 +49,9 @@ class OutputScale:
         """Mean and variance of y where T(y) is normal with these (of a shifted log-normal where ``log``)."""
         if not self.log:
             return mean, variance
-        size = np.exp(mean + 0.5 * variance)
-        return self.sign * (size - self.offset), np.expm1(variance) * size**2
+        # far from all runs either is beyond all numbers: as large as can still be worked with says so as well
+        size = np.exp(np.minimum(mean + 0.5 * variance, LARGEST_EXPONENT))
+        return self.sign * (size - self.offset), np.expm1(np.minimum(variance, LARGEST_EXPONENT)) * size**2
 
 
 def coordinates(x: FloatArray, log_inputs: BoolArray, low: FloatArray, high: FloatArray) -> FloatArray:

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lacli.base.files import replacing
-from lacli.base.schema import Array, array_file, unfit
+from lacli.base.schema import Array, array_file, unfit, write_arrays
 from lacli.inference.box import Box
 from lacli.inference.matching.matching import Match
 from lacli.inference.matching.nroy import RegionSample
@@ -25,13 +24,12 @@ def save_match(path: Path, found: Match, identity: str) -> None:
     """Write the region to an .npz file, with what it was made from (the text of an identity), whole or not at all."""
     points, level, *rest = astuple(found.sample)
     numbers = np.array([*rest, found.share, found.share_sd, found.change], float)
-    with replacing(Path(path)) as temporary, temporary.open("wb") as stream:
-        np.savez_compressed(stream, points=points, level=level, numbers=numbers, identity=np.array(identity))
+    write_arrays(path, {"points": points, "level": level, "numbers": numbers, "identity": identity})
 
 
 def load_match(path: Path, box: Box) -> Match:
     """Read what ``save_match`` wrote of a region of the box; InputError if it cannot be."""
-    with array_file(path, "a matched region", "Remove it to match anew.") as file:
+    with array_file(path, "a matched region", "Remove it to match anew.", sealed=True) as file:
         a = file.read(_SCHEMA)
         volume, volume_sd, acceptance, correlation, evaluations, share, share_sd, change = (float(v) for v in a["numbers"])
         if a["points"].shape[1] != box.d or not len(a["points"]):

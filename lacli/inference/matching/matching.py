@@ -35,8 +35,8 @@ class Wave:
     threshold: float
 
     def signed(self, x: FloatArray) -> FloatArray:
-        """(E f - mu) / sqrt(Var f + sigma^2) (m, p) of each output at x (m, d)."""
-        mean, variance = self.emulators.predict(x)
+        """(E f - mu) / sqrt(Var f + sigma^2) (m, p) of each output at x (m, d); Var f with the runs' own error."""
+        mean, variance = self.emulators.predict_truth(x)
         return (mean - self.targets.mean) / np.sqrt(variance + self.targets.sd**2)
 
     def implausibility(self, x: FloatArray) -> FloatArray:
@@ -58,8 +58,8 @@ class Wave:
             return self.level(x) < t
         open_ = np.arange(len(x))
         for j in self._order():
-            mu, noise = self.targets.mean[j], self.targets.sd[j] ** 2
             rows = x[open_]
+            mu, noise = self.targets.mean[j], self.targets.sd[j] ** 2 + self.emulators.error_variance(j, rows)
             m0, m1, v0, v1 = self.emulators.screen(j, rows)
             away = np.maximum(np.maximum(m0 - mu, mu - m1), 0.0)  # m0 <= mean <= m1
             out = away >= bound * np.sqrt(v1 + noise)
@@ -67,7 +67,7 @@ class Wave:
             unclear = np.flatnonzero(~(out | sure))
             if len(unclear):
                 mean, variance = self.emulators.predict_one(j, rows[unclear])
-                out[unclear] = np.abs(mean - mu) >= bound * np.sqrt(variance + noise)
+                out[unclear] = np.abs(mean - mu) >= bound * np.sqrt(variance + noise[unclear])
             open_ = open_[~out]
             if not len(open_):
                 break

@@ -13,7 +13,7 @@ the target exactly uniform again (surrogate transition, Liu 2001, section 9.4.3)
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,6 +92,7 @@ def sample_region(
         population.restart(np.arange(walkers), 1.0)
         population.forget(_FORGOTTEN)
         volume = float("nan")
+    past: list[float] = []
     while start is None or len(start) < walkers:
         t = max(1.0, float(np.quantile(population.value, _SURVIVE)))
         if tick is not None:
@@ -99,7 +100,8 @@ def sample_region(
         alive = np.flatnonzero(population.value < t)
         share = len(alive) / walkers
         volume *= share
-        if volume < _SMALLEST or (share > 0.99 and t > 1.0):
+        past.append(t)
+        if volume < _SMALLEST or (share > 0.99 and t > 1.0) or _stalled(past, volume):
             lowest = int(population.value.argmin())
             raise EmptyRegionError(
                 f"no point of the box is in the region (nearest: level {population.value[lowest]:.3g}, must be below 1).",
@@ -126,6 +128,16 @@ def sample_region(
         points=x[pick], level=np.concatenate(levels)[pick], volume=volume, volume_sd=volume * float(np.sqrt(relative)),
         acceptance=population.acceptance, correlation=correlation, evaluations=population.evaluations,
     )  # fmt: skip
+
+
+def _stalled(levels: Sequence[float], volume: float) -> bool:
+    """Whether the levels, of which the last leaves ``volume``, have settled above 1: each of the last three fell by no more than
+    the one before, and at that pace the volume would be gone before they were half way down."""
+    falls = -np.diff(levels[-4:])
+    if len(falls) < 3 or levels[-1] <= 1.0 or (np.diff(falls) > 0).any():
+        return False
+    left = np.log(volume / _SMALLEST) / -np.log(_SURVIVE)
+    return bool(left * falls[-1] < 0.5 * (levels[-1] - 1.0))
 
 
 class _Population:

@@ -1,7 +1,8 @@
 """The posterior density: uniform prior on a region, Gaussian likelihood with measurement and emulator variance.
 
-log L(x) = -1/2 sum_j [ (E f_j - mu_j)^2 / (sigma_j^2 + Var f_j) + log(2 pi (sigma_j^2 + Var f_j)) ]; the variance depends on
-x, so its logarithm stays: without it the mean moves by a quarter of a standard deviation.
+log L(x) = -1/2 sum_j [ (E f_j - mu_j)^2 / (sigma_j^2 + Var f_j) + log(2 pi (sigma_j^2 + Var f_j)) ]; Var f is the emulator's
+and that of the runs' own error (discretisation). The variance depends on x, so its logarithm stays: without it the mean moves
+by a quarter of a standard deviation.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ class Density:
 
     def log_likelihood(self, x: FloatArray) -> FloatArray:
         """log L (m,) at x (m, d)."""
-        return gaussian_log_likelihood(*self.emulators.predict(x), self.targets)
+        return gaussian_log_likelihood(*self.emulators.predict_truth(x), self.targets)
 
     def __call__(self, x: FloatArray) -> FloatArray:
         """log posterior (m,) at x (m, d)."""
@@ -69,7 +70,7 @@ class Density:
         rows = np.flatnonzero(self.region.box.contains(x))
         if not len(rows):
             return value
-        mean, variance = self.emulators.predict(x[rows])
+        mean, variance = self.emulators.predict_truth(x[rows])
         keep = np.ones(len(rows), bool)
         for wave in self.region.waves:
             if wave.emulators is self.emulators and wave.targets is self.targets:

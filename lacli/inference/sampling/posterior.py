@@ -14,8 +14,7 @@ from scipy.stats import qmc
 
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import InputError, LacliError, UsageError
-from lacli.base.files import replacing
-from lacli.base.schema import Array, array_file, unfit
+from lacli.base.schema import Array, array_file, unfit, write_arrays
 from lacli.base.threads import single_threaded
 from lacli.contracts.identity import Identity, conflict, identify, parse_identity
 from lacli.inference.sampling.likelihood import Density
@@ -314,18 +313,18 @@ def save_chain(path: Path, chain: Chain) -> None:
     """Write the chain to an .npz file, whole or not at all."""
     name, keys, position, has_gauss, gauss = chain.random_state
     assert name == "MT19937"
-    with replacing(Path(path)) as temporary, temporary.open("wb") as stream:
-        np.savez(
-            stream, format=np.array(_FORMAT), names=np.array(chain.names), samples=chain.samples, log_prob=chain.log_prob,
-            acceptance=np.array(chain.acceptance), rhat=chain.rhat, ess=chain.ess, key=np.array(chain.key),
-            flags=np.array([chain.converged, chain.uses_surrogate]), tuning_points=chain.tuning_points,
-            generator=keys, generator_rest=np.array([position, has_gauss, gauss], float),
-        )  # fmt: skip
+    arrays = {
+        "format": _FORMAT, "names": np.array(chain.names), "samples": chain.samples, "log_prob": chain.log_prob,
+        "acceptance": np.array(chain.acceptance), "rhat": chain.rhat, "ess": chain.ess, "key": chain.key,
+        "flags": np.array([chain.converged, chain.uses_surrogate]), "tuning_points": chain.tuning_points,
+        "generator": keys, "generator_rest": np.array([position, has_gauss, gauss], float),
+    }  # fmt: skip
+    write_arrays(path, arrays, compressed=False)
 
 
 def load_chain(path: Path) -> Chain:
     """Read what ``save_chain`` wrote; InputError if it cannot be."""
-    with array_file(path, "a chain", "Remove it to sample anew.") as file:
+    with array_file(path, "a chain", "Remove it to sample anew.", sealed=True) as file:
         if int(file.read({"format": Array("int")})["format"]) != _FORMAT:
             raise InputError(f"{path}: a chain of another format; remove it to sample anew.")
         a = file.read(_SCHEMA)

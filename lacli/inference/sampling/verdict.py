@@ -92,7 +92,7 @@ def judge(
     """
 
     def misfit(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        mean, variance = emulators.predict(points)
+        mean, variance = emulators.predict_truth(points)
         return np.abs(mean - targets.mean) / np.sqrt(variance + targets.sd**2), mean, np.sqrt(variance)
 
     implausibility, mean, sd = (a[0] for a in misfit(x[None]))

@@ -1,0 +1,1 @@
+"""Many patients: their table, statistics over them, comparison of models."""

@@ -1,0 +1,156 @@
+"""A cohort's tidy table: a row a patient and region, numbers in the other columns; checked before anything is computed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from lacli.base.arrays import FloatArray
+from lacli.base.documents import brief
+from lacli.base.errors import TableError, UsageError
+from lacli.contracts.tables.file import read_frame
+
+MOST_DRAWS = 5_000_000
+# an identifier becomes a folder's name: no separators, no leading dot or dash
+IDENTIFIER = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]{0,63}")
+ERROR = "_sd"
+
+
+@dataclass(frozen=True)
+class Observations:
+    """A complete table. values: by name, (patients, regions); errors: covariances (patients, regions, regions) of those values
+    that are posterior means; draws: (draws, patients, regions) joint posterior draws where given."""
+
+    patients: tuple[str, ...]
+    regions: tuple[str, ...]
+    values: dict[str, FloatArray]
+    errors: dict[str, FloatArray]
+    draws: dict[str, FloatArray]
+    where: str
+
+
+def read_observations(
+    path: Path, names: Sequence[str], patient: str = "participant_id", region: str = "region", draws: Path | None = None
+) -> Observations:
+    """The columns ``names`` of a CSV or Parquet table, and ``<name>_sd``, the posterior's standard deviation, where it is there.
+
+    draws: a table of joint posterior draws (columns patient, region, ``draw`` and some of ``names``): their covariance between
+    a patient's regions takes the place of ``<name>_sd``. Raises TableError where a cell is empty or no number, an identifier is
+    none or stands twice, or patients have different regions; UsageError where a column is missing.
+    """
+    frame = read_frame(path)
+    _check_columns(frame, [patient, region, *names], path)
+    ids, regions = _labels(frame, patient, region, path)
+    twice = pd.Series(zip(ids, regions, strict=True)).duplicated().to_numpy()
+    if twice.any():
+        row = int(twice.argmax())
+        raise TableError(f"{path}: {ids[row]}, {regions[row]}: two rows (the second is row {row + 1}). Keep one.")
+    patients, levels = tuple(dict.fromkeys(ids)), tuple(dict.fromkeys(regions))
+    if len(patients) < 2:
+        raise TableError(f"{path}: one patient ({patients[0]}); statistics over patients need at least 2.")
+    for name in patients:
+        have = {r for i, r in zip(ids, regions, strict=True) if i == name}
+        if have != set(levels):
+            lacking = ", ".join(r for r in levels if r not in have)
+            raise TableError(f"{path}: {name} has no row for {lacking}, which others have. Add it, or leave that out for all.")
+    place = ([patients.index(i) for i in ids], [levels.index(r) for r in regions])
+    values, errors = {}, {}
+    for name in names:
+        values[name] = _filled(column(frame, name, path), place, (len(patients), len(levels)))
+        if name + ERROR in frame:
+            sd = _filled(column(frame, name + ERROR, path), place, (len(patients), len(levels)))
+            if (sd < 0).any():
+                raise TableError(f"{path}: {name + ERROR} holds a negative standard deviation.")
+            errors[name] = sd[:, :, None] ** 2 * np.eye(len(levels))
+    found: dict[str, FloatArray] = {}
+    if draws is not None:
+        found = _read_draws(draws, names, patient, region, patients, levels)
+        errors |= {name: _covariances(d) for name, d in found.items()}
+    return Observations(patients, levels, values, errors, found, str(path))
+
+
+def column(frame: pd.DataFrame, name: str, path: Path) -> FloatArray:
+    """The column's finite numbers. Raises TableError, which names the row."""
+    values: FloatArray = pd.to_numeric(frame[name], errors="coerce").to_numpy(float)
+    bad = ~np.isfinite(values)
+    if bad.any():
+        row = int(bad.argmax())
+        cell = frame[name].iloc[row]
+        cell = cell.item() if hasattr(cell, "item") else cell
+        what = "is empty" if pd.isna(cell) else f"holds {brief(cell)}, which is not a finite number"
+        raise TableError(f"{path}: {name}, row {row + 1} {what}. Fill it in, or leave the patient out.")
+    return values
+
+
+def check_identifier(name: str, where: str) -> str:
+    """The identifier. Raises TableError where it could not be a folder's name."""
+    if not IDENTIFIER.fullmatch(name):
+        raise TableError(f"{where}: {brief(name)} is no identifier: letters, digits, _ . and - only, a letter or digit first.")
+    return name
+
+
+def _check_columns(frame: pd.DataFrame, names: Sequence[str], path: Path) -> None:
+    missing = [name for name in dict.fromkeys(names) if name not in frame]
+    if missing:
+        there = ", ".join(map(str, frame.columns[:40]))
+        raise UsageError(f"{path}: no column {', '.join(missing)}; the columns are {there}.")
+
+
+def _labels(frame: pd.DataFrame, patient: str, region: str, path: Path) -> tuple[list[str], list[str]]:
+    labels = []
+    for name in (patient, region):
+        empty = frame[name].isna().to_numpy()
+        if empty.any():
+            raise TableError(f"{path}: {name}, row {int(empty.argmax()) + 1} is empty.")
+        labels.append([str(v).strip() for v in frame[name]])
+    for row, name in enumerate(labels[0]):
+        check_identifier(name, f"{path}: {patient}, row {row + 1}")
+    return labels[0], labels[1]
+
+
+def _filled(column: FloatArray, place: tuple[list[int], list[int]], shape: tuple[int, int]) -> FloatArray:
+    grid = np.empty(shape)
+    grid[place] = column
+    return grid
+
+
+def _read_draws(
+    path: Path, names: Sequence[str], patient: str, region: str, patients: tuple[str, ...], regions: tuple[str, ...]
+) -> dict[str, FloatArray]:
+    frame = read_frame(path)
+    there = [name for name in names if name in frame]
+    if not there:
+        raise UsageError(f"{path}: no draws of {', '.join(names)}; the columns are {', '.join(map(str, frame.columns[:40]))}.")
+    _check_columns(frame, [patient, region, "draw"], path)
+    ids, levels = _labels(frame, patient, region, path)
+    numbers, which = np.unique(frame["draw"].to_numpy(), return_inverse=True)
+    shape = (len(numbers), len(patients), len(regions))
+    if int(np.prod(shape)) > MOST_DRAWS:
+        raise TableError(f"{path}: {len(numbers):,} draws; at most {MOST_DRAWS // (shape[1] * shape[2]):,} are read. Thin them.")
+    unknown = (set(ids) - set(patients)) | (set(levels) - set(regions))
+    if unknown:
+        raise TableError(f"{path}: {', '.join(sorted(unknown)[:5])} is not in the table of values.")
+    index = (which, [patients.index(i) for i in ids], [regions.index(r) for r in levels])
+    counts = np.zeros(shape, int)
+    np.add.at(counts, tuple(np.asarray(i) for i in index), 1)
+    if len(numbers) < 50 or (counts != 1).any():
+        raise TableError(
+            f"{path}: needs each draw once for every patient and region, at least 50 draws; there are {len(numbers)}."
+        )
+    result = {}
+    for name in there:
+        grid = np.empty(shape)
+        grid[index] = column(frame, name, path)
+        result[name] = grid
+    return result
+
+
+def _covariances(draws: FloatArray) -> FloatArray:
+    d = draws - draws.mean(axis=0)
+    covariances: FloatArray = np.einsum("dpi,dpj->pij", d, d) / (len(d) - 1)
+    return covariances
