@@ -17,6 +17,7 @@ from lacli.base.files import replacing
 from lacli.base.processes.process import memory_mb
 from lacli.contracts import failures
 from lacli.contracts.identity import Identity, beside, conflict, identify, read_identity, write_identity
+from lacli.contracts.tables.gradients import name_of as gradient_name
 from lacli.contracts.tables.table import ERROR_SUFFIX, STATUS, RunTable, combine, input_values, read_frame
 
 KIND, ATTEMPTS, MESSAGE, MEMORY = "kind", "attempts", "message", "peak_memory_mb"

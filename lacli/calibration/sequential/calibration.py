@@ -18,6 +18,7 @@ from scipy.stats import chi2, qmc
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import LacliError, UsageError
 from lacli.base.files import write_json
+from lacli.base.threads import single_threaded
 from lacli.calibration.calibration import obstacle
 from lacli.calibration.sequential import change, descent, modes
 from lacli.calibration.sequential.chain import sample
@@ -119,7 +120,7 @@ class _Search:
         if len(x):
             before = len(self.x)
             self.log.run(self.simulator, x, lambda done, total: self.monitor(Status(stage, done, total, before + done)))
-            self.x = np.unique(np.vstack([self.x, x]), axis=0, return_index=False) if False else _joined(self.x, x)
+            self.x = _joined(self.x, x)
             self.stages[stage] = self.stages.get(stage, 0) + len(self.x) - before
         return self.evidence()
 
@@ -142,6 +143,7 @@ def _joined(x: FloatArray, more: FloatArray) -> FloatArray:
     return np.array(list(dict.fromkeys(tuple(row) for row in np.vstack([x, more]).tolist())))
 
 
+@single_threaded
 def calibrate_sequentially(
     simulator: Simulator,
     box: Box,
