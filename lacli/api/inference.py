@@ -98,6 +98,18 @@ def emulate(
     return Emulation(emulators, tuple(scores), emulators_identity(table, **options))
 
 
+def fit(
+    table: RunTable, *, box: Box | None = None, seed: int = 0, progress: OnProgress | None = None, cancel: Cancel | None = None
+) -> EmulatorSet:
+    """Emulators of the table's outputs without cross-validation; arguments and errors as ``emulate``."""
+    from lacli.inference.emulation.emulator import fit_emulators
+    from lacli.inference.emulation.emulator_set import EmulatorSet
+
+    stage = Stage("emulators", len(table.outputs), progress, cancel).begin()
+    fitted = fit_emulators(table, seed=seed, tick=stage.step, may_log=logarithmic(table, box, ()))
+    return EmulatorSet(table.inputs, tuple(fitted))
+
+
 def sensitivity(
     emulators: EmulatorSet,
     *,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -55,6 +55,27 @@ def write_case(
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     return info
+
+
+def write_patient(
+    folder: Path,
+    seed: int,
+    atrium: dict[str, Any],
+    given: Mapping[str, float],
+    acquisition: Acquisition,
+    heart_rate: float,
+    monitor: Monitor,
+) -> dict[str, Any]:
+    """What ``write_case`` returns, and the folder; a case that is there and was made from the same is kept as it is.
+
+    given: known parameters; the others are drawn from the seed. Raises AnatomyError where the folder holds something else.
+    """
+    parameters = {**cycle.draw_parameters(seed), **given}
+    made_from = {"seed": seed, "atrium": atrium, "acquisition": asdict(acquisition), "parameters": parameters}
+    info = finished(folder, made_from)
+    if info is None:
+        info = write_case(folder, seed, atrium, parameters, acquisition, heart_rate, monitor)
+    return {"folder": str(folder), **info}
 
 
 def finished(folder: Path, made_from: dict[str, Any]) -> dict[str, Any] | None:
