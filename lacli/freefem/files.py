@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import InputError
+from lacli.geometry.quadrature import triangle_shapes
 
 # VTK's 10-node cell -> FreeFEM's: middles of edges 01 02 03 12 13 23; triangle: of 12 20 01
 CELL_ORDER = [0, 1, 2, 3, 4, 6, 7, 5, 8, 9]
@@ -37,6 +38,13 @@ def write_arrays(file: Path, *arrays: FloatArray | IntArray) -> None:
     with file.open("w", encoding="ascii") as out:
         for array in arrays:
             _write_array(out, np.asarray(array).ravel())
+
+
+def write_faces(file: Path, triangles: IntArray, weight: FloatArray | None = None) -> None:
+    """Write loaded faces: triangles (t, 3 or 6) in VTK's order, and their weights (t, 7) at the quadrature points, else ones."""
+    shape = (len(triangles), len(triangle_shapes(3).weight))
+    order = FACE_ORDER if triangles.shape[1] == 6 else [0, 1, 2]
+    write_arrays(file, triangles[:, order], np.ones(shape) if weight is None else weight.reshape(shape))
 
 
 def _write_array(out: TextIO, values: NDArray[np.generic]) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from lacli.base.arrays import FloatArray
@@ -15,7 +14,8 @@ from lacli.contracts.case import Case
 from lacli.contracts.labels import BODY_REGIONS, ENDO, EPI, REGIONS, RINGS, is_body, is_plane
 from lacli.contracts.motion import Motion
 from lacli.contracts.scene import Materials, Pericardium
-from lacli.freefem.files import CELL_ORDER, FACE_ORDER, write_arrays, write_medit
+from lacli.freefem.files import CELL_ORDER, write_arrays, write_faces, write_medit
+from lacli.geometry.quadrature import at_quadrature
 
 
 def pericardium_weight(xi: FloatArray, settings: Pericardium) -> FloatArray:
@@ -38,24 +38,18 @@ def write_inputs(case: Case, folder: Path) -> None:
     write_arrays(folder / "cells.txt", bundle.tets[:, CELL_ORDER] if quadratic else bundle.tets)
     write_arrays(folder / "points.txt", bundle.points.T)
     write_arrays(folder / "materials.txt", material_table(bundle, scene.materials, scene.numerics.kappa_points_kpa))
-    faces = bundle.triangles[:, FACE_ORDER] if quadratic else bundle.triangles
-
-    def write_faces(name: str, keep: NDArray[np.bool_], weight: FloatArray) -> None:
-        write_arrays(folder / name, faces[keep], weight)
-
-    cavity = (bundle.tags == ENDO) | is_plane(bundle.tags)
-    write_faces("pressure.txt", cavity, np.ones(3 * int(cavity.sum())))
+    write_faces(folder / "pressure.txt", bundle.triangles[(bundle.tags == ENDO) | is_plane(bundle.tags)])
     if plan.vein_springs:
-        veins = np.isin(bundle.tags, [RINGS["rspv"], RINGS["ripv"]])
-        write_faces("veins.txt", veins, np.ones(3 * int(veins.sum())))
+        write_faces(folder / "veins.txt", bundle.triangles[np.isin(bundle.tags, [RINGS["rspv"], RINGS["ripv"]])])
     if plan.pericardium:
         assert bundle.pericardium_coordinate is not None
-        epi = bundle.tags == EPI
-        weight = pericardium_weight(bundle.pericardium_coordinate, scene.pericardium)[bundle.triangles[:, :3]]
-        touched = epi & (weight > 0).any(axis=1)
-        write_faces("pericardium.txt", touched, weight[touched])
+        # the weight turns within a cell: taken at the quadrature points, not between values at the corners
+        xi = at_quadrature(bundle.triangles[:, :3], bundle.pericardium_coordinate)
+        weight = pericardium_weight(xi, scene.pericardium)
+        touched = (bundle.tags == EPI) & (weight > 0).any(axis=1)
+        write_faces(folder / "pericardium.txt", bundle.triangles[touched], weight[touched])
         if plan.sensitivities:
-            slope = pericardium_weight_slope(bundle.pericardium_coordinate, scene.pericardium)[bundle.triangles[:, :3]]
+            slope = pericardium_weight_slope(xi, scene.pericardium)
             write_arrays(folder / "pericardium_slope.txt", slope[touched])
     if plan.moving:
         assert motion is not None

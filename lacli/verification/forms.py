@@ -6,6 +6,7 @@ import numpy as np
 
 from lacli.base.arrays import FloatArray
 from lacli.contracts.bundle import Bundle, as_order
+from lacli.geometry.quadrature import at_quadrature
 from lacli.verification import meshes
 from lacli.verification.equilibria import on_planes
 from lacli.verification.laws import OFFSETS, difference
@@ -207,7 +208,7 @@ def spring() -> list[Check]:
         bundle = Bundle(flat.points @ turn.T, flat.tets, flat.region, flat.triangles, flat.tags, info={})
         n, nv = len(bundle.points), len(vertices(bundle))
         every, top = np.ones(len(bundle.tags), dtype=bool), bundle.tags == 2
-        weight = flat.points[flat.triangles[:, :3], 0] / size[0]
+        weight = at_quadrature(flat.triangles[:, :3], flat.points[:, 0]) / size[0]
         # weight x / 3 mm: 1/2 on average, 0 on the side x low, 1 on the side x high
         normal = turn @ (areas * along)
         outward = turn @ (areas * np.array([float(along[0] > 0), 0.5, 0.5]) * along)

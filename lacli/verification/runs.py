@@ -16,7 +16,7 @@ from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import SimulationError
 from lacli.contracts.bundle import Bundle
 from lacli.freefem import run as freefem
-from lacli.freefem.files import CELL_ORDER, FACE_ORDER, write_arrays, write_medit
+from lacli.freefem.files import CELL_ORDER, write_arrays, write_faces, write_medit
 from lacli.freefem.program import find
 from lacli.freefem.template import render_template
 from lacli.mechanics.engine import plugin
@@ -123,7 +123,7 @@ def solve(setup: Setup) -> Solution:
         _write_mesh(setup.bundle, setup.material, folder)
         write_arrays(folder / "held.txt", *setup.held)
         if setup.loaded:
-            _write_faces(setup.bundle, np.isin(setup.bundle.tags, setup.loaded), folder / "pressure.txt")
+            write_faces(folder / "pressure.txt", setup.bundle.triangles[np.isin(setup.bundle.tags, setup.loaded)])
         for array, file in ((setup.start, "start.txt"), (setup.at, "at.txt")):
             if array is not None:
                 write_arrays(folder / file, array.T)
@@ -221,7 +221,7 @@ def _ask(
         files = []
         for i, (kind, keep, weight) in enumerate(faces):
             files.append((kind, f"faces{i}.txt"))
-            _write_faces(bundle, keep, folder / f"faces{i}.txt", weight)
+            write_faces(folder / f"faces{i}.txt", bundle.triangles[keep], weight)
         settings = [[float(f.task), *f.loads] for f in forms]
         zero, none = np.zeros((n, 3)), np.zeros(nv)
         states = [np.concatenate([f.x.T.ravel(), f.p]) for f in forms]
@@ -272,12 +272,6 @@ def _write_mesh(bundle: Bundle, materials: FloatArray, folder: Path) -> None:
     write_arrays(folder / "cells.txt", bundle.tets[:, CELL_ORDER] if bundle.order == 2 else bundle.tets)
     write_arrays(folder / "points.txt", bundle.points.T)
     write_arrays(folder / "materials.txt", np.broadcast_to(materials, (len(bundle.tets), 12)))
-
-
-def _write_faces(bundle: Bundle, keep: NDArray[np.bool_], file: Path, weight: FloatArray | None = None) -> None:
-    count = 3 * int(keep.sum())
-    faces = bundle.triangles[keep][:, FACE_ORDER] if bundle.order == 2 else bundle.triangles[keep]
-    write_arrays(file, faces, np.ones(count) if weight is None else weight)
 
 
 def _run(template: str, folder: Path, **choices: Any) -> freefem.Outcome:

@@ -11,6 +11,7 @@ import numpy as np
 from lacli.base.arrays import FloatArray
 from lacli.contracts.bundle import Bundle, as_order
 from lacli.contracts.labels import BODY_REGIONS
+from lacli.geometry.quadrature import triangle_shapes
 from lacli.verification.forms import KAPPA, TOLERANCE, distorted_box, disturbed
 from lacli.verification.laws import OFFSETS, difference
 from lacli.verification.runs import (
@@ -101,6 +102,7 @@ def _point(bundle: Bundle, pericardium: int) -> _Point:
     region = np.where(np.arange(len(bundle.tets)) % 7 == 6, RING, 1 + np.arange(len(bundle.tets)) % REGIONS)
     bundle = Bundle(bundle.points, bundle.tets, region, bundle.triangles, bundle.tags, info={})
     n, nv, touched = len(bundle.points), len(vertices(bundle)), int((bundle.tags == 6).sum())
+    per_face = len(triangle_shapes(3).weight)
     return _Point(
         bundle,
         disturbed(bundle, 0.04, 5),
@@ -109,8 +111,8 @@ def _point(bundle: Bundle, pericardium: int) -> _Point:
         np.array([1.7, 0.9, 2.6, 1.2, 3.1]),
         np.array([1.3, 2.1, 0.6, 0.9, 1.7]),
         np.array([2.0, 1.5, 2.5]),
-        random.uniform(0.2, 1, (touched, 3)),
-        random.standard_normal((touched, 3)),
+        random.uniform(0.2, 1, (touched, per_face)),
+        random.standard_normal((touched, per_face)),
         0.1 * random.standard_normal((INPUTS, n, 3)),
         (0.4, 0.6),
         pericardium,

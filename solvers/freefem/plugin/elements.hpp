@@ -176,7 +176,7 @@ struct FaceSums {
   double R[18], K[18][18];                   // 3 a + i
 };
 
-// One boundary triangle (normal out of the wall). value: pressure in kPa or stiffness in kPa/mm; weight: 3 vertex values.
+// One boundary triangle (normal out of the wall). value: pressure in kPa or stiffness in kPa/mm; weight: at the rule's points.
 inline void face_integral(const TriRule &rule, Surface kind, double value, const double *weight, const double (*X)[3],
                           const double (*x)[3], Task task, FaceSums &s) {
   const int nn = rule.nodes;
@@ -184,7 +184,7 @@ inline void face_integral(const TriRule &rule, Surface kind, double value, const
   std::memset(s.R, 0, sizeof s.R);
   if (task != Task::residual) std::memset(s.K, 0, sizeof s.K);
   for (int q = 0; q < rule.n; ++q) {
-    const double *N = &rule.N[q * nn], *d1 = &rule.d1[q * nn], *d2 = &rule.d2[q * nn], *L = &rule.L[3 * q];
+    const double *N = &rule.N[q * nn], *d1 = &rule.d1[q * nn], *d2 = &rule.d2[q * nn];
     const double w = rule.w[q];
     double xq[3] = {}, Xq[3] = {}, x1[3] = {}, x2[3] = {}, X1[3] = {}, X2[3] = {};
     for (int a = 0; a < nn; ++a)
@@ -213,7 +213,7 @@ inline void face_integral(const TriRule &rule, Surface kind, double value, const
     const double n[3] = {T[0] / area, T[1] / area, T[2] / area};
     const double u[3] = {xq[0] - Xq[0], xq[1] - Xq[1], xq[2] - Xq[2]};
     const double un = u[0] * n[0] + u[1] * n[1] + u[2] * n[2];
-    double k = value * w * (L[0] * weight[0] + L[1] * weight[1] + L[2] * weight[2]);
+    double k = value * w * weight[q];
     s.area += w * area;
     if (kind == PERICARDIUM_OUTWARD && un <= 0) continue;
     const bool normal = kind != VEIN_SPRING;

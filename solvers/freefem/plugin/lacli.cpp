@@ -105,7 +105,7 @@ long laViscosity(double const &viscosity) {
   return 0;
 }
 
-// laFaces(kind, nodes of triangles, weights of their vertices)
+// laFaces(kind, nodes of triangles, weights at their quadrature points)
 long laFaces(long const &kind, KN<long> *const &nodes, KN<double> *const &weight) {
   Model &P = *the;
   Faces f;
@@ -113,7 +113,7 @@ long laFaces(long const &kind, KN<long> *const &nodes, KN<double> *const &weight
   f.weight.resize(weight->N());
   for (long i = 0; i < weight->N(); ++i) f.weight[i] = (*weight)[i];
   const int m = P.face.nodes;
-  ffassert(f.nodes.size() / m == f.weight.size() / 3);
+  ffassert(f.nodes.size() / m == f.weight.size() / P.face.n);
   for (size_t k = 0; k < f.nodes.size() / m; ++k)
     for (int a = 0; a < m; ++a)
       for (int b = 0; b <= a; ++b) {
@@ -205,7 +205,7 @@ long laAssemble(long const &mode, KN<double> *const &y, KN<double> *const &refer
           x[a][i] = pre ? (*reference)[at] : (*y)[at];
           X[a][i] = pre ? x[a][i] - (*y)[at] : anchor[at];
         }
-      face_integral(P.face, set.kind, value, &set.weight[3 * k], X, x, task, f);
+      face_integral(P.face, set.kind, value, &set.weight[k * P.face.n], X, x, task, f);
       P.energy += f.energy, P.volume += f.volume;
       for (int a = 0; a < m; ++a)
         for (int i = 0; i < 3; ++i) R[(long)i * P.nU + node[a]] += f.R[3 * a + i];

@@ -9,7 +9,7 @@ namespace lacli {
 struct Faces {
   Surface kind;
   std::vector<int> nodes;                    // 6 (or 3) per triangle
-  std::vector<double> weight;                // 3 per triangle
+  std::vector<double> weight;                // per triangle and point
   std::vector<double> slope;                 // of the weights along the pericardium's threshold; empty: not told
   std::vector<int> blocks;                   // lower-triangular pairs of each triangle
 };

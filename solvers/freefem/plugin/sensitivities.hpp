@@ -197,8 +197,8 @@ inline long slopes(const Model &P, const double *y, const double *reference, con
         }
       gather(node, m);
       std::memset(face, 0, sizeof face);
-      face_slopes(P.face, set.kind, P.loads[set.kind], &set.weight[3 * k], set.slope.empty() ? nullptr : &set.slope[3 * k], shares,
-                  X, x, dv, moves, face);
+      face_slopes(P.face, set.kind, P.loads[set.kind], &set.weight[k * P.face.n],
+                  set.slope.empty() ? nullptr : &set.slope[k * P.face.n], shares, X, x, dv, moves, face);
       for (int input = 0; input < INPUTS; ++input)
         for (int a = 0; a < m; ++a)
           for (int i = 0; i < 3; ++i) to[input * n + i * nU + node[a]] += face[input][3 * a + i];

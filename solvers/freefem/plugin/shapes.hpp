@@ -14,7 +14,7 @@ struct TetRule {
 
 struct TriRule {
   int n, nodes;                              // nodes 3 or 6
-  std::vector<double> w, N, L, d1, d2;       // weights (sum 1/2), values, vertex values, derivatives along the edges 01, 02
+  std::vector<double> w, N, d1, d2;          // weights (sum 1/2), values, derivatives along the edges 01, 02
 };
 
 inline void tet_shapes(int nodes, const double b[4], double *N, double *dN) {
@@ -76,7 +76,6 @@ inline TriRule tri_rule(int nodes) {
     const double *l = bary[q];
     r.w.push_back(w[q]);
     for (int i = 0; i < 3; ++i) {
-      r.L.push_back(l[i]);
       r.N.push_back(nodes == 3 ? l[i] : l[i] * (2 * l[i] - 1));
       r.d1.push_back(nodes == 3 ? e1[i] : (4 * l[i] - 1) * e1[i]);
       r.d2.push_back(nodes == 3 ? e2[i] : (4 * l[i] - 1) * e2[i]);
