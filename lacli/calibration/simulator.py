@@ -124,9 +124,7 @@ def _frames(folder: Path) -> tuple[dict[str, float], float]:
     import pandas as pd
 
     table = pd.read_csv(folder / "transients.csv")
-    found = {
-        at_time(key, float(row["time"])): float(row[key]) for row in table.to_dict("records") for key in KEYS if key in row
-    }
+    found = {at_time(key, float(row["time"])): float(row[key]) for row in table.to_dict("records") for key in KEYS if key in row}
     reservoir = table.loc[table["phase"] == "reservoir", "time"]
     return found, float(reservoir.max())
 

@@ -163,7 +163,9 @@ def describe(scene: Scene, bundle: Bundle) -> list[tuple[str, bool, str]]:
         (
             "transient",
             scene.outputs.frames > 1 or bool(scene.outputs.times),
-            f"outputs.times has {len(scene.outputs.times)}" if scene.outputs.times else f"outputs.frames is {scene.outputs.frames}",
+            f"outputs.times has {len(scene.outputs.times)}"
+            if scene.outputs.times
+            else f"outputs.frames is {scene.outputs.frames}",
         ),
         (
             "conduit",

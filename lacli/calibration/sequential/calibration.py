@@ -73,8 +73,8 @@ Monitor = Callable[[Status], None]
 @dataclass(frozen=True)
 class Sequential:
     """The result. map_x (d,) and its chi^2; runs by stage, ``map_runs`` until the most probable point was found; table: summary
-    by input; change (d,): how far the emulator's error may still move the posterior's mean, in its sds; modes (k, d): all found,
-    the best first; sweep: what the check of the box says; notes: what a user must know."""
+    by input; change (d,): how far the emulator's error may still move the posterior's mean, in its sds; minima
+    (k, d): the modes found, the best first; sweep: what the check of the box says; notes: what a user must know."""
 
     box: Box
     targets: Targets
@@ -85,7 +85,7 @@ class Sequential:
     failed: int
     table: list[dict[str, float | str]]
     change: FloatArray
-    modes: FloatArray
+    minima: FloatArray
     sweep: modes.Sweep
     chain: mcmc.Chain
     fit: list[dict[str, float | str]]
@@ -105,7 +105,9 @@ class Sequential:
 class _Search:
     """The runs so far, with what asks for more."""
 
-    def __init__(self, simulator: Simulator, box: Box, targets: Targets, settings: Settings, log: RunLog, monitor: Monitor) -> None:
+    def __init__(
+        self, simulator: Simulator, box: Box, targets: Targets, settings: Settings, log: RunLog, monitor: Monitor
+    ) -> None:
         self.simulator, self.box, self.targets, self.settings = simulator, box, targets, settings
         self.log, self.monitor = log, monitor
         self.scale = Scale.of(box)
@@ -171,7 +173,9 @@ def calibrate_sequentially(
     evidence, components = _descend(search, evidence)
     map_runs = len(search.x)
     known = [_best(evidence)]
-    evidence, known, components, swept = _other_modes(search, evidence, known, components, "other starts", settings.mode_runs // 2)
+    evidence, known, components, swept = _other_modes(
+        search, evidence, known, components, "other starts", settings.mode_runs // 2
+    )
     evidence = _around(search, evidence, known)
     chain, evidence, moved, local, stopped = _refine(search, evidence, known, folder)
     evidence, known_after, components, swept = _other_modes(
@@ -206,8 +210,9 @@ def _start(search: _Search) -> Evidence:
     if not evidence.told.any():
         why = "none finished" if not len(evidence.z) else "those that finished tell no derivatives"
         raise LacliError(
-            f"calibrate: of {len(search.x)} runs over the box {why}; the sequential method needs them. Look at {search.log.path}, "
-            "or use --method published. (Derivatives need the compiled engine and numerics.unloading = prestrain.)"
+            f"calibrate: of {len(search.x)} runs over the box {why}; the sequential method needs them. Look at "
+            f"{search.log.path}, or use --method published. (Derivatives need the compiled engine and "
+            "numerics.unloading = prestrain.)"
         )
     return evidence
 
@@ -404,7 +409,7 @@ def document(result: Sequential) -> dict[str, Any]:
         "cpu_s": result.cpu_s if np.isfinite(result.cpu_s) else None,
         "chi2": result.misfit, "targets": len(result.targets.names), "posterior": result.table,
         "emulator_change_sd": dict(zip(result.box.names, result.change.tolist(), strict=True)),
-        "modes": [dict(zip(result.box.names, row, strict=True)) for row in result.modes.tolist()],
+        "modes": [dict(zip(result.box.names, row, strict=True)) for row in result.minima.tolist()],
         "box_not_ruled_out_elsewhere": result.sweep.elsewhere, "converged": result.chain.converged,
         "samples": len(result.chain.flat()), "fit": result.fit, "held_out": result.held_out,
     }  # fmt: skip

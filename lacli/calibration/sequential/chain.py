@@ -51,9 +51,7 @@ def density(components: Components, scale: Scale) -> Density:
     return Density(cast(EmulatorSet, _Outputs(components, scale)), targets, Region(scale.box))
 
 
-def sample(
-    components: Components, scale: Scale, settings: mcmc.Settings, start: FloatArray, file: Path | None
-) -> mcmc.Chain:
+def sample(components: Components, scale: Scale, settings: mcmc.Settings, start: FloatArray, file: Path | None) -> mcmc.Chain:
     """The chain; kept in ``file`` and gone on with, where one is given."""
     of = density(components, scale)
     previous = None
@@ -61,4 +59,6 @@ def sample(
         previous = mcmc.load_chain(file)
         if parse_identity(previous.key) != mcmc.chain_identity(of, settings):
             previous = None
-    return mcmc.sample_posterior(of, settings, start, previous, None if file is None else lambda chain: mcmc.save_chain(file, chain))
+    return mcmc.sample_posterior(
+        of, settings, start, previous, None if file is None else lambda chain: mcmc.save_chain(file, chain)
+    )

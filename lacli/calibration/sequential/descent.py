@@ -19,7 +19,9 @@ from lacli.calibration.sequential.evidence import Evidence
 _RADIUS = 0.35  # of a trial's step, in widths of the box
 _SAME = 0.02  # two trials as near as this are one
 _DAMPING = 1e-3  # first, of the mean diagonal of J' J
-_SETTLED = 0.5  # decrease of chi^2 still expected, below which a point is the lowest: a quarter of a posterior sd in one direction
+_SETTLED = (
+    0.5  # decrease of chi^2 still expected, below which a point is the lowest: a quarter of a posterior sd in one direction
+)
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,9 @@ class Trial:
     start: int
 
 
-def levenberg(residual: FloatArray, jacobian: FloatArray, z: FloatArray, damping: float, radius: float) -> tuple[FloatArray, float]:
+def levenberg(
+    residual: FloatArray, jacobian: FloatArray, z: FloatArray, damping: float, radius: float
+) -> tuple[FloatArray, float]:
     """The damped step (d,) within the box and the radius, and the decrease of chi^2 that the linear model expects."""
     d = len(z)
     scale = damping * float(np.mean((jacobian**2).sum(0)))
@@ -109,7 +113,10 @@ def advance(evidence: Evidence, incumbents: list[Incumbent], tried: list[Trial])
                 best, gain, expected = trial, now - float(evidence.misfit[row]), trial.expected
         if best is None:
             after[start] = replace(
-                incumbent, damping=incumbent.damping * incumbent.growth, growth=2.0 * incumbent.growth, radius=0.5 * incumbent.radius
+                incumbent,
+                damping=incumbent.damping * incumbent.growth,
+                growth=2.0 * incumbent.growth,
+                radius=0.5 * incumbent.radius,
             )
             continue
         ratio = gain / max(expected, 1e-12)

@@ -104,7 +104,7 @@ def fit(z: FloatArray, residual: FloatArray, jacobian: FloatArray, start: Compon
     start: an earlier fit, from whose lengths the search sets out. Raises LacliError for fewer runs than a trend takes.
     """
     n, d = z.shape
-    told = np.isfinite(jacobian).all((1, 2))
+    told = np.asarray(np.isfinite(jacobian).all((1, 2)))
     rows = _observations(residual, jacobian, told)
     if len(rows) < d + 3:
         raise LacliError(f"calibrate: {n} finished runs ({int(told.sum())} with derivatives) are too few to emulate {d} inputs.")
@@ -143,7 +143,13 @@ def fit(z: FloatArray, residual: FloatArray, jacobian: FloatArray, start: Compon
 
 
 def _held_out(
-    lower: FloatArray, basis: FloatArray, trend_factor: FloatArray, white: FloatArray, variance: FloatArray, n: int, told: BoolArray
+    lower: FloatArray,
+    basis: FloatArray,
+    trend_factor: FloatArray,
+    white: FloatArray,
+    variance: FloatArray,
+    n: int,
+    told: BoolArray,
 ) -> float:
     """Mean squared error of runs left out, one after the other with their derivatives, over what the process says of it.
 
@@ -189,9 +195,7 @@ def _generalised(
     return trend, said - seen @ trend
 
 
-def _factors(
-    z: FloatArray, told: BoolArray, lengths: FloatArray, nugget: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _factors(z: FloatArray, told: BoolArray, lengths: FloatArray, nugget: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Cholesky factors of the kernel's matrix and of the trend's information, and the trend's basis."""
     k = _kernel(z, told, z, told, lengths)
     own = np.concatenate([np.ones(len(z)), np.tile(1.0 / lengths**2, int(told.sum()))])

@@ -43,7 +43,7 @@ class Evidence:
 def factor(targets: Targets) -> FloatArray:
     """(p, p) lower triangle L of the targets' covariance."""
     covariance = np.diag(targets.sd**2) if targets.covariance is None else targets.covariance
-    return np.linalg.cholesky(covariance)
+    return np.asarray(np.linalg.cholesky(covariance))
 
 
 def gather(log: RunLog, x: FloatArray, targets: Targets, scale: Scale) -> Evidence:
@@ -54,8 +54,8 @@ def gather(log: RunLog, x: FloatArray, targets: Targets, scale: Scale) -> Eviden
     lacking = [name for name, known in zip(targets.names, np.isfinite(y).all(0), strict=True) if not known]
     if lacking:
         raise LacliError(
-            f"calibrate: the runs have no {', '.join(lacking[:6])}{' ...' if len(lacking) > 6 else ''}: the bundle lacks the data "
-            "for it (universal coordinates, fibres), or its time is none of the simulation's. Remove it from the targets."
+            f"calibrate: the runs have no {', '.join(lacking[:6])}{' ...' if len(lacking) > 6 else ''}: the bundle lacks the "
+            "data for it (universal coordinates, fibres), or its time is none of the simulation's. Remove it from the targets."
         )
     x_done = x[done]
     whitening = factor(targets)

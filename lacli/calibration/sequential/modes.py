@@ -62,7 +62,11 @@ def sweep(components: Components, known: list[Laplace], best: float, seed: int) 
         end, _ = lowest(components, z[i], 0.25)
         for point in (end, z[i]):
             far = min(float(mode.distance(point[None])[0]) for mode in known) > _NEAR
-            if far and all(np.abs(point - other).max() > 0.1 for other in found) and _misfits(components, point[None])[0] < cutoff:
+            if (
+                far
+                and all(np.abs(point - other).max() > 0.1 for other in found)
+                and _misfits(components, point[None])[0] < cutoff
+            ):
                 found.append(point)
                 break
     found.sort(key=lambda point: float(_misfits(components, point[None])[1][0]))
