@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from lacli.api.motion import Tracking, track
     from lacli.api.posterior import Posterior, posterior
     from lacli.api.progress import Progress
-    from lacli.api.study import stats
+    from lacli.api.study import Report, stats, write_report
     from lacli.base.errors import Cancelled, LacliError
     from lacli.calibration.calibration import Settings as CalibrationSettings
     from lacli.contracts.scene import Scene, load_scene
@@ -50,6 +50,7 @@ __all__ = [
     "Posterior",
     "Progress",
     "Recovered",
+    "Report",
     "RunResult",
     "RunTable",
     "SamplingSettings",
@@ -88,6 +89,7 @@ __all__ = [
     "tradeoff",
     "verify",
     "write_deck",
+    "write_report",
 ]
 
 _HOMES = {
@@ -99,7 +101,7 @@ _HOMES = {
     "lacli.api.motion": ("Tracking", "track"),
     "lacli.api.posterior": ("Posterior", "posterior"),
     "lacli.api.progress": ("Progress",),
-    "lacli.api.study": ("stats",),
+    "lacli.api.study": ("Report", "stats", "write_report"),
     "lacli.base.errors": ("Cancelled", "LacliError"),
     "lacli.contracts.scene": ("Scene", "load_scene"),
     "lacli.contracts.tables.table": ("RunTable", "read_one", "read_runs"),

@@ -11,24 +11,28 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lacli.anatomy.coordinates import describe as coordinates
-from lacli.anatomy.inputs import extraction, patches, repair
+from lacli.anatomy.inputs import extraction, patches, repair, voxels
 from lacli.anatomy.inputs.anything import Mesh
 from lacli.anatomy.inputs.image import Image
 from lacli.anatomy.inputs.patches import Tagged
 from lacli.anatomy.inputs.repair import Repaired
-from lacli.anatomy.openings import clipping, finding, trunk
-from lacli.anatomy.openings.candidate import Candidate
+from lacli.anatomy.openings import closed_cut, finding, trunk
+from lacli.anatomy.openings.candidate import Candidate, place
 from lacli.anatomy.openings.closing import CAP
 from lacli.anatomy.openings.landmarks import LPS, Axes, Landmarks
 from lacli.anatomy.openings.mitral import lv_contact, of_contact
-from lacli.anatomy.wall.shell import mesh_shell
+from lacli.anatomy.wall.shell import TooTightError, mesh_shell
 from lacli.base.errors import AnatomyError
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.labels import OPENINGS, PLANES
-from lacli.geometry.surface import Surface
+from lacli.geometry import curves as paths
+from lacli.geometry.surface import Surface, nearest
 
 Say = Callable[[str], None]
 LEAST_WALL_MM = 1.0
+FOLD_DEG = 120.0  # between the normals of two triangles of the wall: a fold
+FINE_MM, UNFOLD_MM = 0.6, 1.5  # voxels and smoothing of a surface whose folds no wall can follow
+THINNED = 0.05  # share of the wall's points that may be thinner than asked without a word
 
 
 @dataclass(frozen=True)
@@ -156,9 +160,14 @@ def _from_closed(
     found = finding.find(surface, seen, axes, given, field, options.ring_width_mm, options.accept_low_confidence).landmarks
     notes += found.notes
     say("cutting")
-    cavity = clip(surface, found)
+    cavity = clip(surface, found, notes)
     say("meshing the wall")
-    bundle = _shell(cavity, options, outer, notes)
+    try:
+        bundle = _shell(cavity, options, outer, notes)
+    except TooTightError:
+        cavity, found = _smoothed(surface, found, notes)
+        bundle = _shell(cavity, options, outer, notes)
+    _say_thinned(bundle, notes)
     say("coordinates, regions, fibres")
     described = coordinates.describe(bundle, found.sides, options.fibre_rule)
     if described.islands:
@@ -174,9 +183,45 @@ def _from_closed(
     return Built(described.bundle, found, cavity, tuple(notes), measures)
 
 
+def _smoothed(surface: Surface, found: Landmarks, notes: list[str]) -> tuple[Surface, Landmarks]:
+    """The cavity without the folds that no wall can follow, cut anew just inside the rims that it had caps for."""
+    smooth = extraction.surface_of(voxels.voxels(surface, FINE_MM), UNFOLD_MM, 0.8)
+    openings = {n: replace(o, cap=0, centre=o.centre - (FINE_MM if o.cap else 0.0) * o.normal) for n, o in found.openings.items()}
+    found = replace(found, openings=openings)
+    cavity = clip(smooth, found, notes)
+    away, _ = nearest(smooth.points, surface.points)
+    notes.append(
+        f"the surface has folds that no wall can follow (the deepest at {place(surface.points[int(away.argmax())])}): it was "
+        f"smoothed over {UNFOLD_MM:g} mm, by {np.percentile(away, 95):.1f} mm at 95 % of its points and {away.max():.1f} mm at "
+        f"most; {surface.volume_ml():.1f} mL became {smooth.volume_ml():.1f} mL"
+    )
+    return cavity, found
+
+
+def _sharpest_deg(surface: Surface) -> float:
+    """The largest angle between the normals of two of the wall's triangles."""
+    normals = surface.normals()
+    _, _, of = paths.edge_table(surface.triangles)
+    order = np.argsort(of.ravel(), kind="stable")
+    twice = np.flatnonzero(np.diff(of.ravel()[order]) == 0)
+    one, two = order[twice] // 3, order[twice + 1] // 3
+    wall = (surface.label[one] == 0) & (surface.label[two] == 0)
+    cosine = (normals[one] * normals[two]).sum(axis=1)[wall]
+    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).max(initial=0.0))
+
+
+def _say_thinned(bundle: Bundle, notes: list[str]) -> None:
+    share = float(bundle.info["shell"]["thinned_share"])
+    if share > THINNED:
+        notes.append(
+            f"the wall is thinner than asked at {100 * share:.0f} % of its points, where the surface bends too tightly for it; "
+            "thickness per region is in the report"
+        )
+
+
 def _shell(cavity: Surface, options: Options, outer: Surface | None, notes: list[str]) -> Bundle:
     """The wall's cells; where the surface bends too tightly for the size, smaller ones."""
-    for factor in (1.0, 0.8, 0.64, 0.5):
+    for factor in (1.0, 0.8, 0.64, 0.5):  # smaller cells help no wall over a fold
         try:
             bundle = mesh_shell(
                 cavity,
@@ -187,8 +232,8 @@ def _shell(cavity: Surface, options: Options, outer: Surface | None, notes: list
                 layers=options.layers,
                 ring_width_mm=options.ring_width_mm,
             )
-        except AnatomyError:
-            if factor == 0.5:
+        except TooTightError:
+            if factor == 0.5 or _sharpest_deg(cavity) > FOLD_DEG:
                 raise
             continue
         if factor < 1.0:
@@ -199,11 +244,12 @@ def _shell(cavity: Surface, options: Options, outer: Surface | None, notes: list
     raise AssertionError("unreachable")
 
 
-def clip(surface: Surface, found: Landmarks) -> Surface:
+def clip(surface: Surface, found: Landmarks, notes: list[str] | None = None) -> Surface:
     """Cut all openings, the mitral valve last; those that the surface has caps for keep them, other caps are wall.
 
-    A further vein's plane has the label of the vein beside it, whose ring it takes.
+    A further vein's plane has the label of the vein beside it, whose ring it takes. ``notes`` gets what had to be cut elsewhere.
     """
+    notes = [] if notes is None else notes
     label = surface.label.copy()
     kept = {o.cap: PLANES[o.takes or n] for n, o in found.openings.items() if o.cap}
     for cap in np.unique(surface.label[surface.label >= CAP]):
@@ -221,7 +267,8 @@ def clip(surface: Surface, found: Landmarks) -> Surface:
         if opening.cap:
             continue
         plane = PLANES.get(opening.takes or name, 0)
-        surface = clipping.cut(surface, opening.centre, opening.normal, opening.beyond, plane, name.upper())
+        surface, words = closed_cut.cut(surface, opening, plane, name.upper())
+        notes += [words] if words else []
     return surface
 
 

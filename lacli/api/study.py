@@ -1,13 +1,27 @@
-"""A study in one call each: statistics over many patients."""
+"""A study in one call each: statistics over many patients, a page on a run or a patient."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lacli.base.errors import LacliError, UsageError
+
 if TYPE_CHECKING:
+    from lacli.base.arrays import FloatArray
     from lacli.cohort.statistics import Statistics
+
+
+@dataclass(frozen=True)
+class Report:
+    """Where a page is, its size in bytes, and the folder of its figures as PDF and SVG; ``kind``: ``run`` or ``patient``."""
+
+    kind: str
+    page: Path
+    size: int
+    figures: Path
 
 
 def stats(
@@ -36,3 +50,44 @@ def stats(
     names = read_targets(targets).names if targets is not None else None
     with one_thread():
         return statistics(observed, response, predictors, names, seed)
+
+
+def write_report(folder: Path, page: Path, *, figures: Path | None = None, run: Path | None = None) -> Report:
+    """One self-contained HTML page on the folder of a run (of ``simulate``) or of a patient's calibration.
+
+    figures: folder of the figures as PDF and SVG (default: ``<page>_figures`` beside it). run: of a calibration, the folder of a
+    simulation that kept its fields, for anatomy and transients. Raises InputError, UsageError, StorageError.
+    """
+    from lacli.base.files import check_file, check_folder
+    from lacli.report.page.document import write
+    from lacli.report.page.patient import RESULT, patient_page
+    from lacli.report.page.run import run_page
+
+    kept = figures or page.with_name(f"{page.stem}_figures")
+    if page.suffix.lower() not in (".html", ".htm"):
+        raise UsageError(f"{page}: a page is an .html file.")
+    patient = (folder / RESULT).is_file()
+    if not patient and not (folder / "manifest.json").is_file():
+        raise UsageError(f"{folder}: neither a run (manifest.json) nor a finished calibration ({RESULT}).")
+    if run is not None and not patient:
+        raise UsageError("--run goes with a patient's calibration; this is a run itself.")
+    check_file(page)
+    check_folder(kept)
+    simulated = run if patient else folder
+    thickness, note = _thickness(simulated) if simulated is not None else (None, "")
+    made = patient_page(folder, kept, run, thickness, note) if patient else run_page(folder, kept, thickness, note)
+    return Report("patient" if patient else "run", page, write(made, page), kept)
+
+
+def _thickness(run: Path) -> tuple[tuple[FloatArray, FloatArray] | None, str]:
+    """Points of the endocardium and their wall thickness, mm, from the run's bundle; None and why where it is not there."""
+    from lacli.anatomy.wall.thickness import of_bundle
+    from lacli.contracts.bundle import load
+    from lacli.contracts.scene import load_scene
+
+    try:
+        bundle = load(Path(load_scene(run / "scene.toml").anatomy.bundle))
+        found = of_bundle(bundle)
+    except LacliError as error:
+        return None, f"Wall thickness is not shown: {error}"
+    return (bundle.points[found.ids], found.laplace), ""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from lacli.anatomy.openings import clipping
+from lacli.anatomy.openings import closed_cut
 from lacli.anatomy.openings.landmarks import Opening
 from lacli.contracts.labels import PLANES
 from lacli.geometry import isolines as isoline
@@ -21,7 +23,7 @@ def part(surface: Surface, one: Opening, two: Opening) -> Surface:
     label = PLANES[one.name]
     if not one.cap:
         middle = (one.centre + two.centre) / 2
-        surface = clipping.cut(surface, middle, one.normal, one.beyond, label, f"{one.name} and {two.name}".upper())
+        surface, _ = closed_cut.cut(surface, replace(one, centre=middle), label, f"{one.name} and {two.name}".upper())
     elif one.cap:
         surface = Surface(surface.points, surface.triangles, np.where(surface.label == PLANES[two.name], label, surface.label))
     across = two.centre - one.centre

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from lacli.anatomy.coordinates.frame import AtrialFrame, frame_from_openings, height, sectors, sweep, two_layer_fibres, unit
+from lacli.anatomy.openings.candidate import place
 from lacli.anatomy.openings.rims import RING_WIDTH_MM, label_rings
 from lacli.anatomy.remeshing.projection import Reference
 from lacli.anatomy.remeshing.remesh import keep_volume, remesh_on
@@ -26,6 +27,10 @@ from lacli.geometry.surface import Surface, check, unique_edges
 from lacli.geometry.tetrahedra import TET10_EDGES, boundary_faces, curved_jacobian, edges_of, scaled_jacobian
 
 MIN_JACOBIAN = 0.2
+
+
+class TooTightError(AnatomyError):
+    """The surface bends too tightly for a wall of this thickness in cells of this size."""
 
 
 @dataclass(frozen=True)
@@ -97,8 +102,10 @@ def _assemble(surface: Surface, edges: IntArray, off: Offset, layers: int, order
     straightened = 0
     quality = scaled_jacobian(points, tets)
     if quality.min() <= 0:
-        raise AnatomyError(
-            f"The wall has {int((quality <= 0).sum())} inverted cells: it is too thick for how tightly the surface bends."
+        where = place(points[tets[int(quality.argmin())]].mean(axis=0))
+        raise TooTightError(
+            f"The wall has {int((quality <= 0).sum())} inverted cells, the worst at {where}: it is too thick for how tightly the "
+            "surface bends. Ask for a thinner wall (--thickness-mm), or smooth the surface there."
         )
     triangles, owner = boundary_faces(tets)
     inner = (triangles < n).all(axis=1)
