@@ -24,7 +24,7 @@ from lacli.calibration.sequential import change, descent, modes
 from lacli.calibration.sequential.chain import sample
 from lacli.calibration.sequential.descent import Incumbent
 from lacli.calibration.sequential.emulator import Components, fit
-from lacli.calibration.sequential.evidence import Evidence, gather
+from lacli.calibration.sequential.evidence import Evidence, factor, gather
 from lacli.calibration.sequential.laplace import Laplace, spread_out
 from lacli.calibration.sequential.scale import Scale
 from lacli.contracts.identity import Identity, identify, write_identity
@@ -38,6 +38,7 @@ _REJECTED = 1e-4  # of a chi-square in the targets less the inputs: a misfit as 
 _MODE = 25.0  # excess of chi^2 up to which a second minimum has a share in the posterior
 _LOCAL = 12.0  # Mahalanobis distance up to which a run takes part in the local emulator
 _DESCENT_ROUNDS = 24
+_REACH, _SWEEP = 3.0, 1 << 12  # standard deviations within which a target is reached, somewhere of so many points
 
 
 @dataclass(frozen=True)
@@ -185,7 +186,7 @@ def calibrate_sequentially(
         known = known_after
         evidence = _around(search, evidence, known)
         chain, evidence, moved, local, stopped = _refine(search, evidence, known, folder)
-    result = _result(search, evidence, known, local, chain, moved, swept, map_runs, stopped)
+    result = _result(search, evidence, known, local, components, chain, moved, swept, map_runs, stopped)
     write_json(folder / "result.json", {"identity": identity.digest, **document(result)})
     return result
 
@@ -242,7 +243,7 @@ def _best(evidence: Evidence) -> Laplace:
 
 def _other_modes(
     search: _Search, evidence: Evidence, known: list[Laplace], components: Components | None, stage: str, budget: int
-) -> tuple[Evidence, list[Laplace], Components | None, modes.Sweep]:
+) -> tuple[Evidence, list[Laplace], Components, modes.Sweep]:
     """Run where another mode may be, until nothing is left or the budget is used; modes found are added."""
     known = list(known)
     used = 0
@@ -259,15 +260,13 @@ def _other_modes(
         if len(search.x) == before:
             return evidence, known, components, found
         used += len(search.x) - before
+        components = fit(evidence.z, evidence.residual, evidence.jacobian, components)
         for z in found.candidates[:count]:
             row = descent.at(evidence, z)
-            if np.abs(evidence.z[row] - z).max() > 1e-6 or not evidence.told[row]:
-                continue
-            mode = Laplace.at(evidence.z[row], evidence.residual[row], evidence.jacobian[row])
-            left = evidence.residual[row] + evidence.jacobian[row] @ (mode.centre - evidence.z[row])
-            apart = min(float(other.distance(mode.centre[None])[0]) for other in known) > modes._NEAR
-            if apart and float(left @ left) < best + _MODE and evidence.misfit[row] < best + 4.0 * _MODE:
-                known.append(mode)
+            ran = np.abs(evidence.z[row] - z).max() < 1e-6 and evidence.told[row]
+            as_good = evidence.misfit[row] < evidence.misfit.min() + _MODE
+            if ran and as_good and modes.same_valley(components, known, evidence.z[row]) is not None:
+                known.append(Laplace.at(evidence.z[row], evidence.residual[row], evidence.jacobian[row]))
 
 
 def _around(search: _Search, evidence: Evidence, known: list[Laplace]) -> Evidence:
@@ -333,6 +332,7 @@ def _result(
     evidence: Evidence,
     known: list[Laplace],
     local: Components,
+    whole: Components,
     chain: mcmc.Chain,
     moved: FloatArray,
     swept: modes.Sweep,
@@ -351,7 +351,7 @@ def _result(
         for name, t, s, y in zip(targets.names, targets.mean, targets.sd, nearest, strict=True)
     ]
     freedom = max(1, len(targets.names) - box.d)
-    refused = _verdict(evidence, targets, misfit, freedom)
+    refused = _verdict(evidence, whole, targets, misfit, freedom)
     notes = list(dict.fromkeys(search.notes))
     notes.append(swept.words())
     notes += _unlearned(box, chain)
@@ -370,26 +370,28 @@ def _result(
     )  # fmt: skip
 
 
-def _verdict(evidence: Evidence, targets: Targets, misfit: float, freedom: int) -> str:
-    """Why the answer is none, in words; '' where it is one."""
-    limit = float(chi2.isf(_REJECTED, freedom))
-    if misfit <= limit:
+def _verdict(evidence: Evidence, components: Components, targets: Targets, misfit: float, freedom: int) -> str:
+    """Why the answer is none, in words; '' where it is one. ``components``: the emulator of all runs over the box."""
+    if misfit <= float(chi2.isf(_REJECTED, freedom)):
         return ""
-    row = int(np.argmin(evidence.misfit))
-    # targets that no run of all comes near to, alone
-    told = evidence.residual[row]
-    nearest = np.abs(evidence.residual).min(0)
-    worst = np.argsort(-np.abs(told))[:3]
-    if targets.covariance is None and (out := np.flatnonzero(nearest > 4.0)).size:
+    off = f"chi^2 is {misfit:.0f} where {freedom} is expected"
+    # each target alone, in its own sds: residuals taken back from L and from the components' axes
+    alone = (factor(targets) / targets.sd[:, None]) @ components.rotation
+    z = qmc.Sobol(components.z.shape[1], rng=np.random.default_rng(0)).random(_SWEEP)
+    mean, variance = components.predict(np.vstack([z, evidence.z]))
+    least = np.maximum(np.abs(mean @ alone.T) - _REACH * np.sqrt(variance @ (alone**2).T), 0.0).min(0)
+    if (out := np.flatnonzero(least > _REACH)).size:
         names = ", ".join(targets.names[j] for j in out[:5])
         return (
-            f"chi^2 is {misfit:.0f} where {freedom} is expected: no run of all comes within four standard deviations of {names}. "
+            f"{off}: nowhere in the box does the model come within {_REACH:g} standard deviations of {names}. "
             "No parameter reaches these targets: check their units and standard deviations, or widen the box."
         )
+    told = (evidence.residual[int(np.argmin(evidence.misfit))] @ factor(targets).T) / targets.sd
+    worst = np.argsort(-np.abs(told))[:3]
     names = ", ".join(f"{targets.names[j]} ({told[j]:+.1f} sd)" for j in worst)
     return (
-        f"chi^2 is {misfit:.0f} where {freedom} is expected: the targets contradict each other or the model. Farthest from the "
-        f"best run: {names}. The posterior beside it is too narrow to be believed."
+        f"{off}: the targets contradict each other or the model. Farthest from the best run: {names}. "
+        "The posterior beside it is too narrow to be believed."
     )
 
 

@@ -18,14 +18,15 @@ from lacli.calibration.sequential.laplace import Laplace
 
 _POINTS = 1 << 14
 _FAVOUR = 3.0  # emulator's standard deviations
-_NEAR = 6.0  # Mahalanobis, from a mode whose runs are known
+NEAR = 6.0  # Mahalanobis, from a mode whose runs are known
 _LEVEL = 1e-4  # of a chi-square in the inputs: of this little posterior mass a point may be the boundary
-_DESCENTS = 24
+_DESCENTS = 48
+_SURE = 20.0  # of chi^2: between what the emulator expects and the most favourable, where it counts as known
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """Of ``points`` of the box, low-discrepancy: the share that is not ruled out, near the known modes and elsewhere; candidates
+    """Of ``points`` of the box, low-discrepancy: the share that is not ruled out, of the known modes and elsewhere; candidates
     (k, d): places elsewhere whose misfit may be lowest, best first."""
 
     points: int
@@ -54,23 +55,30 @@ def sweep(components: Components, known: list[Laplace], best: float, seed: int) 
     cutoff = best + float(chi2.isf(_LEVEL, d))
     optimistic, expected = _misfits(components, z)
     open_ = optimistic < cutoff
-    near = np.min([mode.distance(z) for mode in known], axis=0) < _NEAR
+    near = np.min([mode.distance(z) for mode in known], axis=0) < NEAR
     away = np.flatnonzero(open_ & ~near)
     order = away[np.argsort(expected[away])]
+    tested = order[:: max(1, len(order) // _DESCENTS)][:_DESCENTS]
     found: list[FloatArray] = []
-    for i in order[:: max(1, len(order) // _DESCENTS)][:_DESCENTS]:
-        end, _ = lowest(components, z[i], 0.25)
-        for point in (end, z[i]):
-            far = min(float(mode.distance(point[None])[0]) for mode in known) > _NEAR
-            if (
-                far
-                and all(np.abs(point - other).max() > 0.1 for other in found)
-                and _misfits(components, point[None])[0] < cutoff
-            ):
-                found.append(point)
-                break
+    doubtful = 0
+    for i in tested:
+        end = same_valley(components, known, z[i])
+        # the tail of a known mode, where the emulator knows what it says
+        if end is None and expected[i] - optimistic[i] < _SURE:
+            continue
+        doubtful += 1
+        point = z[i] if end is None or _misfits(components, end[None])[0][0] > cutoff else end
+        if all(np.abs(point - other).max() > 0.1 for other in found):
+            found.append(point)
     found.sort(key=lambda point: float(_misfits(components, point[None])[1][0]))
-    return Sweep(_POINTS, float((open_ & near).mean()), float((open_ & ~near).mean()), np.array(found).reshape(-1, d))
+    elsewhere = len(away) / len(z) * doubtful / max(1, len(tested))
+    return Sweep(_POINTS, float(open_.mean()) - elsewhere, elsewhere, np.array(found).reshape(-1, d))
+
+
+def same_valley(components: Components, known: list[Laplace], z: FloatArray) -> FloatArray | None:
+    """None where the emulated misfit falls from z (d,) to a known mode; else the lowest point it falls to."""
+    end, _ = lowest(components, z)
+    return None if min(float(mode.distance(end[None])[0]) for mode in known) < NEAR else end
 
 
 def _misfits(components: Components, z: FloatArray) -> tuple[FloatArray, FloatArray]:

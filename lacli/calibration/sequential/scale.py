@@ -33,7 +33,8 @@ class Scale:
         """Points of the box (m, d); to its ends exactly."""
         low, high = self._ends()
         t = low + z * (high - low)
-        return np.clip(np.where(self.logged, np.exp(np.where(self.logged, t, 0.0)), t), self.box.lower, self.box.upper)
+        x = np.where(self.logged, np.exp(np.where(self.logged, t, 0.0)), t)
+        return np.asarray(np.where(z <= 0.0, self.box.lower, np.where(z >= 1.0, self.box.upper, x)))
 
     def slope(self, x: FloatArray) -> FloatArray:
         """dx/dz (m, d)."""

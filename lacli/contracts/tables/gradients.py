@@ -68,13 +68,13 @@ def check_gradients(
         factor, error, better = _factors(x, y[:, j], gradients[:, :, j])
         off = (np.abs(factor - 1.0) > _SURE * error) & (better > _BETTER)
         off &= (factor < 1.0 / _FACTOR) | (factor > _FACTOR)
-        wrong += [(name_of(output, inputs[i]), factor[i], error[i]) for i in np.flatnonzero(off)]
+        wrong += [(name_of(output, inputs[i]), float(factor[i]), float(error[i])) for i in np.flatnonzero(off).tolist()]
     if wrong:
-        name, factor, error = max(wrong, key=lambda found: abs(found[1] - 1.0) / found[2])
+        name, times, error_of = max(wrong, key=lambda found: abs(found[1] - 1.0) / found[2])
         others = [other for other, _, _ in wrong if other != name]
         also = f" So do {listed(others, 3)}." if others else ""
         raise TableError(
-            f"{where}: {name} does not fit the runs: they differ by {factor:.3g} (± {error:.1g}) times what it says.{also}"
+            f"{where}: {name} does not fit the runs: they differ by {times:.3g} (± {error_of:.1g}) times what it says.{also}"
             " A derivative is in the output's unit over the input's, at the run's own inputs. Correct or remove the column."
         )
 
@@ -117,7 +117,7 @@ def _factors(x: FloatArray, y: FloatArray, gradient: FloatArray) -> tuple[FloatA
     # each pair stands in two runs, and a regression on few runs takes its own residuals for too small
     few = len(rows) / max(1, len(rows) - len(used))
     spread = normal @ (scores.T @ scores) @ normal * few
-    keep = known[used] & (np.diag(normal) > 0)
+    keep = np.asarray(known, bool)[used] & (np.diag(normal) > 0)
     told = used[keep]
     factor[told] = (solution / size[used])[keep]
     # with one factor fixed, the others as they then are best
