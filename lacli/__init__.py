@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 from lacli.base.version import __version__
 
 if TYPE_CHECKING:
+    from lacli.anatomy.segmentation.road import Options as SegmentationOptions
+    from lacli.anatomy.segmentation.road import Segmented
     from lacli.api.anatomy import FatSegmentation, Meshing, Synthesis, fat, mesh, synthesize
     from lacli.api.calibration import Calibrated, Recovered, calibrate, recover
     from lacli.api.design import Design, design
@@ -20,7 +22,8 @@ if TYPE_CHECKING:
     from lacli.api.motion import Tracking, track
     from lacli.api.posterior import Posterior, posterior
     from lacli.api.progress import Progress
-    from lacli.api.study import Report, stats, write_report
+    from lacli.api.segmentation import segment
+    from lacli.api.study import Report, compare, stats, write_report
     from lacli.base.errors import Cancelled, LacliError
     from lacli.calibration.calibration import Settings as CalibrationSettings
     from lacli.contracts.scene import Scene, load_scene
@@ -55,6 +58,8 @@ __all__ = [
     "RunTable",
     "SamplingSettings",
     "Scene",
+    "SegmentationOptions",
+    "Segmented",
     "Sensitivity",
     "Synthesis",
     "Targets",
@@ -63,6 +68,7 @@ __all__ = [
     "VerificationCheck",
     "__version__",
     "calibrate",
+    "compare",
     "design",
     "doctor",
     "emulate",
@@ -81,6 +87,7 @@ __all__ = [
     "recover",
     "rerun",
     "save_emulators",
+    "segment",
     "sensitivity",
     "simulate",
     "stats",
@@ -93,6 +100,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "lacli.anatomy.segmentation.road": ("Segmented",),
     "lacli.api.anatomy": ("FatSegmentation", "Meshing", "Synthesis", "fat", "mesh", "synthesize"),
     "lacli.api.calibration": ("Calibrated", "Recovered", "calibrate", "recover"),
     "lacli.api.design": ("Design", "design"),
@@ -101,7 +109,8 @@ _HOMES = {
     "lacli.api.motion": ("Tracking", "track"),
     "lacli.api.posterior": ("Posterior", "posterior"),
     "lacli.api.progress": ("Progress",),
-    "lacli.api.study": ("Report", "stats", "write_report"),
+    "lacli.api.segmentation": ("segment",),
+    "lacli.api.study": ("Report", "compare", "stats", "write_report"),
     "lacli.base.errors": ("Cancelled", "LacliError"),
     "lacli.contracts.scene": ("Scene", "load_scene"),
     "lacli.contracts.tables.table": ("RunTable", "read_one", "read_runs"),
@@ -114,6 +123,7 @@ _HOME = {name: (home, name) for home, names in _HOMES.items() for name in names}
     "CalibrationSettings": ("lacli.calibration.calibration", "Settings"),
     "InstallationCheck": ("lacli.mechanics.installation", "Check"),
     "SamplingSettings": ("lacli.inference.sampling.posterior", "Settings"),
+    "SegmentationOptions": ("lacli.anatomy.segmentation.road", "Options"),
     "VerificationCheck": ("lacli.verification.problems", "Check"),
 }
 

@@ -12,7 +12,7 @@ from lacli.cli.terminal.console import err, stages
 
 if TYPE_CHECKING:
     from lacli.contracts.tables.table import RunTable
-    from lacli.inference.emulation.emulator_set import EmulatorSet
+    from lacli.inference.emulation.emulator_set import AnyEmulators
 
 Inputs = Annotated[Path | None, typer.Option("--inputs", help="Table of inputs (CSV or Parquet), one run a row.")]
 Outputs = Annotated[
@@ -55,7 +55,7 @@ def fitted(
     emulators: Path | None,
     seed: int,
     box_file: Path | None = None,
-) -> tuple[EmulatorSet, RunTable | None]:
+) -> tuple[AnyEmulators, RunTable | None]:
     """Emulators from a file, or fitted to the tables (then with the table): for the box of ``box_file``, if given."""
     from lacli.api.inference import fit
     from lacli.inference.emulation.emulator_set import load_emulators

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from lacli.base.arrays import FloatArray
+from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import TableError, UsageError
 from lacli.contracts.tables import checks
 from lacli.contracts.tables.columns import (
@@ -56,6 +56,11 @@ class RunTable:
     def runs(self) -> int:
         """Number of finished runs."""
         return len(self.x)
+
+    def rows(self, which: IntArray) -> RunTable:
+        """Some of the finished runs, in that order."""
+        gradients = None if self.gradients is None else self.gradients[which]
+        return replace(self, x=self.x[which], y=self.y[which], error_sd=self.error_sd[which], gradients=gradients)
 
     def select(self, outputs: Sequence[str]) -> RunTable:
         """The same runs with only the named outputs, in that order."""
