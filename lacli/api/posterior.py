@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from lacli.base.arrays import FloatArray
     from lacli.contracts.targets import Targets
     from lacli.inference.box import Box
-    from lacli.inference.emulation.emulator_set import EmulatorSet
+    from lacli.inference.emulation.emulator_set import AnyEmulators
     from lacli.inference.sampling.posterior import Chain, Settings
     from lacli.inference.sampling.verdict import Verdict
 
@@ -45,7 +45,7 @@ class Posterior:
 
 
 def posterior(
-    emulators: EmulatorSet,
+    emulators: AnyEmulators,
     targets: Targets,
     folder: Path,
     *,

@@ -10,10 +10,10 @@ import numpy as np
 from lacli.base.errors import UsageError
 from lacli.contracts.tables.table import RunTable
 from lacli.inference.box import Box, make_box, read_box, table_box
-from lacli.inference.emulation.emulator_set import EmulatorSet
+from lacli.inference.emulation.emulator_set import AnyEmulators
 
 
-def selected(emulators: EmulatorSet, names: Sequence[str], file: Path) -> EmulatorSet:
+def selected(emulators: AnyEmulators, names: Sequence[str], file: Path) -> AnyEmulators:
     """The emulators of the named outputs, in that order. Raises UsageError where ``file`` has none of one."""
     missing = [name for name in names if name not in emulators.outputs]
     if missing:
@@ -30,7 +30,7 @@ def box_of_inputs(names: Sequence[str], file: Path) -> Box:
     return make_box(names, box.lower[order].tolist(), box.upper[order].tolist())
 
 
-def box_of(emulators: EmulatorSet, file: Path | None, table: RunTable | None = None) -> Box:
+def box_of(emulators: AnyEmulators, file: Path | None, table: RunTable | None = None) -> Box:
     """The box of the inputs: the file's, else published ranges of known inputs and the runs' ranges of others.
 
     Raises UsageError where the file's inputs are not the emulators', or reach where an emulator is not defined.
@@ -39,7 +39,7 @@ def box_of(emulators: EmulatorSet, file: Path | None, table: RunTable | None = N
     if file is None:
         return table_box(emulators.inputs, table.x if table is not None else np.vstack([low, high]))
     box = box_of_inputs(emulators.inputs, file)
-    logged = np.any([e.log_inputs for e in emulators.emulators], axis=0)
+    logged = emulators.log_share > 0
     for name, takes_log, start in zip(emulators.inputs, logged, box.lower, strict=True):
         if takes_log and start <= 0:
             raise UsageError(
