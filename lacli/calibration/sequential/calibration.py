@@ -186,6 +186,8 @@ def calibrate_sequentially(
         known = known_after
         evidence = _around(search, evidence, known)
         chain, evidence, moved, local, stopped = _refine(search, evidence, known, folder)
+    answer, _ = descent.lowest(local, evidence.z[int(np.argmin(evidence.misfit))])
+    evidence = search.run(answer[None], "at the most probable point")
     result = _result(search, evidence, known, local, components, chain, moved, swept, map_runs, stopped)
     write_json(folder / "result.json", {"identity": identity.digest, **document(result)})
     return result
@@ -252,7 +254,7 @@ def _other_modes(
         components = fit(evidence.z, evidence.residual, evidence.jacobian, components)
         best = float(evidence.misfit.min())
         found = modes.sweep(components, known, best, search.settings.seed)
-        count = min(2, budget - used, search.left)
+        count = min(2, budget - used, search.left - 1)
         if not len(found.candidates) or count <= 0:
             return evidence, known, components, found
         before = len(search.x)
@@ -293,7 +295,7 @@ def _refine(
     settings = search.settings
     components: Components | None = None
     quick = replace(settings.mcmc, ess=min(400.0, settings.mcmc.ess), rhat=max(1.05, settings.mcmc.rhat), max_steps=1500)
-    reserve = settings.mode_runs // 2 if search.left > settings.mode_runs else 0
+    reserve = 1 + (settings.mode_runs // 2 if search.left > settings.mode_runs else 0)  # for the box, and for the answer
     round_ = 0
     while True:
         round_ += 1
@@ -340,10 +342,8 @@ def _result(
     stopped: str,
 ) -> Sequential:
     box, targets = search.box, search.targets
-    row = int(np.argmin(evidence.misfit))
-    z, misfit = descent.lowest(local, evidence.z[row])
-    map_x = search.scale.to_x(z[None])[0]
-    misfit = min(misfit, float(evidence.misfit[row])) if misfit > 0 else float(evidence.misfit[row])
+    row = int(np.argmin(evidence.misfit))  # the run at the answer, but for the emulator's error there
+    misfit, map_x = float(evidence.misfit[row]), evidence.x[row]
     frame = search.log.frame(evidence.x[row][None])
     nearest = frame[list(targets.names)].to_numpy(float)[0]
     fitted: list[dict[str, float | str]] = [

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
@@ -33,15 +32,10 @@ class _Outputs:
 
     predict_truth = predict  # runs are taken for exact here; their own error is in the targets' covariance
 
-    @cached_property
-    def emulators(self) -> list[Any]:
-        """One entry, with the inputs that are logarithms."""
-        return [_Logged(self.scale.logged)]
-
-
-@dataclass(frozen=True)
-class _Logged:
-    log_inputs: Any
+    @property
+    def log_share(self) -> FloatArray:
+        """(d,): 1 for inputs taken as logarithms, else 0."""
+        return self.scale.logged.astype(float)
 
 
 def density(components: Components, scale: Scale) -> Density:
