@@ -282,8 +282,6 @@ class Scene(_Frozen):
         """Plain values, without the anatomy's path (a path is no content)."""
         document = self.model_dump(mode="json")
         document.pop("anatomy")
-        if not self.outputs.times:  # runs without are what they were before there were times
-            del document["outputs"]["times"]
         return document
 
 
