@@ -32,7 +32,7 @@ class Cohort:
 
 @dataclass(frozen=True)
 class Report:
-    """Where a page is, its size in bytes, and the folder of its figures as PDF and SVG; ``kind``: ``run`` or ``patient``."""
+    """Where a page is, its size in bytes, and where its figures are as PDF and SVG; ``kind``: run, patient or study."""
 
     kind: str
     page: Path
@@ -115,12 +115,14 @@ def stats(
 
 
 def write_report(folder: Path, page: Path, *, figures: Path | None = None, run: Path | None = None) -> Report:
-    """One self-contained HTML page on the folder of a run (of ``simulate``) or of a patient's calibration.
+    """One self-contained HTML page on the folder of a run (of ``simulate``), a patient's calibration, or a study (of ``cohort``).
 
     figures: folder of the figures as PDF and SVG (default: ``<page>_figures`` beside it). run: of a calibration, the folder of a
     simulation that kept its fields, for anatomy and transients. Raises InputError, UsageError, StorageError.
     """
     from lacli.base.files import check_file, check_folder
+    from lacli.cohort.page import study_page
+    from lacli.cohort.summary import SUMMARY
     from lacli.report.page.document import write
     from lacli.report.page.patient import RESULT, patient_page
     from lacli.report.page.run import run_page
@@ -128,9 +130,17 @@ def write_report(folder: Path, page: Path, *, figures: Path | None = None, run: 
     kept = figures or page.with_name(f"{page.stem}_figures")
     if page.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"{page}: a page is an .html file.")
+    if (folder / SUMMARY).is_file():
+        if run is not None:
+            raise UsageError("--run goes with a patient's calibration; this is a study.")
+        check_file(page)
+        check_folder(kept)
+        return Report("study", page, write(study_page(folder, kept), page), kept)
     patient = (folder / RESULT).is_file()
     if not patient and not (folder / "manifest.json").is_file():
-        raise UsageError(f"{folder}: neither a run (manifest.json) nor a finished calibration ({RESULT}).")
+        raise UsageError(
+            f"{folder}: neither a run (manifest.json), nor a finished calibration ({RESULT}), nor a study ({SUMMARY})."
+        )
     if run is not None and not patient:
         raise UsageError("--run goes with a patient's calibration; this is a run itself.")
     check_file(page)

@@ -1,4 +1,4 @@
-"""``lacli report``: one HTML page on a run or a patient."""
+"""``lacli report``: one HTML page on a run, a patient or a study."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from lacli.cli.terminal.tables import Json
 
 
 def command(
-    folder: Annotated[Path, typer.Argument(help="A run (RUNS/<key> of simulate) or a patient (--out of calibrate).")],
+    folder: Annotated[
+        Path, typer.Argument(help="A run (RUNS/<key> of simulate), a patient (--out of calibrate) or a study (of cohort).")
+    ],
     page: Annotated[Path, typer.Option("--out", help="The page, an .html file.")] = Path("report.html"),
     figures: Annotated[Path | None, typer.Option(help="Folder of the figures as PDF and SVG (default: beside the page).")] = None,
     run: Annotated[
@@ -22,7 +24,7 @@ def command(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """One HTML page on a run or a patient, with 3D, figures, errors and a methods paragraph; it opens without a network.
+    """One HTML page on a run, a patient (both with 3D) or a study: figures, errors, methods; it opens without a network.
 
     Example: lacli report runs/64012adb19dec2ff --out run.html
     """

@@ -1,0 +1,116 @@
+"""The page of a study: its patients, models, and statistics with their figures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from lacli.base.documents import read_json
+from lacli.base.errors import InputError
+from lacli.base.version import __version__
+from lacli.cohort.journal import PAIR_HEAD, SLOPE_HEAD, pair_rows, slope_rows
+from lacli.cohort.observations import Observations, read_observations
+from lacli.cohort.statistics import Statistics, statistics
+from lacli.cohort.summary import MODELS, PATIENTS, REGIONS, SUMMARY
+from lacli.contracts.tables.file import read_frame
+from lacli.report.cohort_figures import regions_figure, scatter_figure
+from lacli.report.page.document import Figure, Page, Section, Table, number, picture
+from lacli.report.page.run import closing
+
+_FORMATS = ("png", "pdf", "svg")
+_LONG = {"d_mm": "displacement at ES (mm)", "alpha": "stiffness alpha", "c": "stiffness C (kPa)",
+         "thickness_mm": "wall thickness (mm)", "fat_ml": "epicardial fat (mL)"}  # fmt: skip
+# of the published tables: what is asked of what
+_QUESTIONS = (("d_mm", ("thickness_mm", "fat_ml", "alpha")), ("alpha", ("thickness_mm", "fat_ml")))
+
+
+def study_page(study: Path, pictures: Path) -> Page:
+    """The page of a study's folder. pictures: where PDF and SVG of the figures are put too. Raises InputError."""
+    summary = read_json(study / SUMMARY, missing="no such file; is this the folder of `lacli cohort`?")
+    if not isinstance(summary, dict) or not {"patients", "done", "failed", "models", "notes"} <= set(summary):
+        raise InputError(f"{study / SUMMARY}: not a study's summary.")
+    sections = [_patients(study, summary["notes"])]
+    if (study / MODELS).is_file():
+        sections.append(_models(study, summary["models"]))
+    sections += _answers(study, pictures)
+    sections.append(closing(_METHODS, [], {"versions": {"lacli": __version__}}))
+    lead = f"{summary['done']} of {summary['patients']} participants done."
+    return Page("A study of left atria", lead, tuple(sections))
+
+
+_METHODS = (
+    f"Statistics by lacli {__version__}: paired t-tests between regions with Bonferroni's and Holm's correction; mixed models"
+    " with the region as factor and a random intercept a patient, by REML; the error of posterior means carried by a structural"
+    " errors-in-variables model where they are predictors, and as a known variance where they are responses."
+)
+
+
+def _patients(study: Path, notes: list[str]) -> Section:
+    frame = read_frame(study / PATIENTS)
+    names = [str(n) for n in frame.columns]
+    rows = _cells(frame)
+    return Section("patients", "Participants", tuple(map(str, notes)), tables=(Table("Participants", tuple(names), rows),))
+
+
+def _cells(frame: pd.DataFrame) -> tuple[tuple[str, ...], ...]:
+    return tuple(tuple(number(v.item() if hasattr(v, "item") else v) for v in row) for row in frame.itertuples(index=False))
+
+
+def _models(study: Path, over: list[dict[str, object]]) -> Section:
+    frame = read_frame(study / MODELS)
+    columns = ("participant_id", "name", "log_evidence", "log_evidence_se", "elpd", "elpd_se", "p_loo", "rmse_mm")
+    rows = _cells(frame[list(columns)])
+    head = ("model", "patients", "RMSE mean, mm", "sd")
+    total = tuple(tuple(number(m[k], 3) for k in ("name", "patients", "rmse_mean_mm", "rmse_sd_mm")) for m in over)
+    return Section("models", "Models", tables=(Table("RMSE over the patients", head, total), Table("By patient", columns, rows)))
+
+
+def _answers(study: Path, pictures: Path) -> list[Section]:
+    table = study / REGIONS
+    if not table.is_file():
+        return [Section("statistics", "Statistics", ("No patient is done: no statistics.",))]
+    frame = read_frame(table)
+    names = [name for name in _LONG if name in frame]
+    if frame["participant_id"].nunique() < 2:
+        return [Section("statistics", "Statistics", ("One patient is done; statistics over patients need at least 2.",))]
+    observed = read_observations(table, names)
+    sections = []
+    for response, wanted in _QUESTIONS:
+        if response not in names:
+            continue
+        predictors = [name for name in wanted if name in names and _varies(observed, name)]
+        enough = len(observed.patients) > 2 and _varies(observed, response)
+        found = statistics(observed, response, predictors if enough else [])
+        sections.append(_answer(found, observed, pictures))
+    return sections
+
+
+def _varies(observed: Observations, name: str) -> bool:
+    values = observed.values[name]
+    return bool(np.std(values - values.mean(axis=0)) > 1e-9 * (np.abs(values).max() or 1.0))
+
+
+def _answer(found: Statistics, observed: Observations, pictures: Path) -> Section:
+    name, regions = found.response, observed.regions
+    figures = [_files(pictures, name)]
+    regions_figure(observed.values[name], regions, _LONG[name], figures[0])
+    captions = [f"{_LONG[name]} by region, a marker a patient, joined by patient."]
+    tables = [Table("Paired t-tests between regions", PAIR_HEAD, tuple(map(tuple, pair_rows(found))))]
+    if found.associations:
+        tables.append(Table(f"{name} ~ region + predictor", SLOPE_HEAD, tuple(map(tuple, slope_rows(found)))))
+    for a in found.associations:
+        files = _files(pictures, f"{name}_{a.predictor}")
+        error = observed.errors.get(a.predictor)
+        sd = None if error is None else np.sqrt(np.diagonal(error, axis1=1, axis2=2))
+        x, y = observed.values[a.predictor], observed.values[name]
+        scatter_figure(x, y, regions, (_LONG[a.predictor], _LONG[name]), sd, files)
+        figures.append(files)
+        captions.append(f"{_LONG[name]} against {_LONG[a.predictor]}" + ("; bars: one posterior sd." if sd is not None else "."))
+    shown: tuple[Figure, ...] = tuple(picture(files[0], words) for files, words in zip(figures, captions, strict=True))
+    return Section(f"of-{name}", _LONG[name][0].upper() + _LONG[name][1:], found.warnings, tables=tuple(tables), figures=shown)
+
+
+def _files(pictures: Path, name: str) -> list[Path]:
+    return [pictures / f"{name}.{suffix}" for suffix in _FORMATS]
