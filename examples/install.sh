@@ -13,8 +13,8 @@ PACKAGES=(
   libglu1-mesa libxcursor1 libxft2 libxinerama1 libegl1
 )
 
-# for the tests of runs on SLURM, which are skipped where these cannot be had
-TEST_PACKAGES=(slurm-wlm munge)
+# for the tests of runs on SLURM, and of pages in a browser, which are skipped where these cannot be had
+TEST_PACKAGES=(slurm-wlm munge chromium chromium-driver)
 
 say() { printf '== %s\n' "$*"; }
 
@@ -43,7 +43,7 @@ install_packages() {
 
 install_test_packages() {
   command -v dpkg-query >/dev/null && (install_packages "${TEST_PACKAGES[@]}") ||
-    say "no ${TEST_PACKAGES[*]} here: the tests of runs on SLURM are skipped"
+    say "no ${TEST_PACKAGES[*]} here: the tests of runs on SLURM and of pages in a browser are skipped"
 }
 
 install_system_packages() {

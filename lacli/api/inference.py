@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from lacli.contracts.tables.table import RunTable
     from lacli.contracts.targets import Targets
     from lacli.inference.box import Box
-    from lacli.inference.emulation.emulator_set import EmulatorSet
+    from lacli.inference.emulation.emulator_set import AnyEmulators
     from lacli.inference.emulation.validation import Scores
     from lacli.inference.matching.matching import Match, Region
     from lacli.inference.sensitivity import Sobol
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 class Emulation:
     """Emulators of a table's outputs, in its order, the scores of their cross-validation, and what they were made from."""
 
-    emulators: EmulatorSet
+    emulators: AnyEmulators
     scores: tuple[Scores, ...]
     identity: Identity
 
@@ -73,6 +73,7 @@ def emulate(
     folds: int = 5,
     starts: int = 3,
     seed: int = 0,
+    gradients: bool = True,
     progress: OnProgress | None = None,
     cancel: Cancel | None = None,
 ) -> Emulation:
@@ -80,16 +81,27 @@ def emulate(
 
     Emulators take inputs and give outputs in the table's units. box: where they will be used (default: where the runs
     are); an input that reaches 0 there, or is named in ``linear``, is never taken as its logarithm. starts: starting
-    points of each fit. Raises UsageError, Cancelled.
+    points of each fit. gradients: learn from the table's derivatives too, where it has any (then without ``starts``).
+    Raises UsageError, Cancelled.
     """
     from lacli.base.threads import one_thread
     from lacli.inference.emulation.emulator import fit_emulators
     from lacli.inference.emulation.emulator_set import EmulatorSet, emulators_identity
-    from lacli.inference.emulation.validation import cross_validate
+    from lacli.inference.emulation.gradient_gp import fit_gradient_emulators
+    from lacli.inference.emulation.validation import cross_validate, cross_validate_gradients
 
     if folds < 2 or starts < 1:
         raise UsageError(f"emulate: folds {folds}, starts {starts}; at least 2 and 1.")
     options: dict[str, Any] = {"starts": starts, "seed": seed, "may_log": logarithmic(table, box, linear)}
+    if gradients and table.gradients is not None:
+        learnt: dict[str, Any] = {"may_log": options["may_log"], "seed": seed}
+        with one_thread():
+            stage = Stage("cross-validation", folds, progress, cancel).begin()
+            scores = cross_validate_gradients(table, count=folds, tick=stage.step, **learnt)
+            stage = Stage("emulators", 1, progress, cancel).begin()
+            with_gradients = fit_gradient_emulators(table, **learnt)
+            stage.step()
+        return Emulation(with_gradients, tuple(scores), emulators_identity(table, gradients=True, **learnt))
     with one_thread():
         stage = Stage("cross-validation", len(table.outputs) * folds, progress, cancel).begin()
         scores = cross_validate(table, count=folds, tick=stage.step, **options)
@@ -98,8 +110,23 @@ def emulate(
     return Emulation(emulators, tuple(scores), emulators_identity(table, **options))
 
 
+def fit(
+    table: RunTable, *, box: Box | None = None, seed: int = 0, progress: OnProgress | None = None, cancel: Cancel | None = None
+) -> AnyEmulators:
+    """Emulators of the table's outputs without cross-validation; arguments and errors as ``emulate``."""
+    from lacli.inference.emulation.emulator import fit_emulators
+    from lacli.inference.emulation.emulator_set import EmulatorSet
+    from lacli.inference.emulation.gradient_gp import fit_gradient_emulators
+
+    may_log = logarithmic(table, box, ())
+    stage = Stage("emulators", len(table.outputs), progress, cancel).begin()
+    if table.gradients is not None:
+        return fit_gradient_emulators(table, tick=stage.step, may_log=may_log)
+    return EmulatorSet(table.inputs, tuple(fit_emulators(table, seed=seed, tick=stage.step, may_log=may_log)))
+
+
 def sensitivity(
-    emulators: EmulatorSet,
+    emulators: AnyEmulators,
     *,
     box: Box | None = None,
     count: int = 1024,
@@ -159,11 +186,11 @@ def logarithmic(table: RunTable, box: Box | None, linear: Sequence[str]) -> Bool
 
 
 def match(
-    emulators: EmulatorSet,
+    emulators: AnyEmulators,
     targets: Targets,
     *,
     box: Box | None = None,
-    earlier: Sequence[EmulatorSet] = (),
+    earlier: Sequence[AnyEmulators] = (),
     threshold: float = 3.0,
     earlier_threshold: float = 3.5,
     count: int = 10_000,

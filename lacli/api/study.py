@@ -1,13 +1,75 @@
-"""A study in one call each: statistics over many patients."""
+"""A study in one call each: statistics over many patients, models compared, a page on a run or a patient."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lacli.base.errors import LacliError, UsageError
+
 if TYPE_CHECKING:
+    from lacli.api.progress import Cancel, OnProgress
+    from lacli.base.arrays import FloatArray
+    from lacli.cohort.comparison import Comparison
     from lacli.cohort.statistics import Statistics
+
+
+@dataclass(frozen=True)
+class Report:
+    """Where a page is, its size in bytes, and the folder of its figures as PDF and SVG; ``kind``: ``run`` or ``patient``."""
+
+    kind: str
+    page: Path
+    size: int
+    figures: Path
+
+
+def compare(
+    patient: Path,
+    targets: Path,
+    *,
+    tied: Sequence[Sequence[str]] = (),
+    others: Mapping[str, Path] | None = None,
+    particles: int = 600,
+    seed: int = 0,
+    progress: OnProgress | None = None,
+    cancel: Cancel | None = None,
+) -> Comparison:
+    """Models of one calibrated patient: each region its own stiffness, one for all, and ``tied``: groups of inputs that are one.
+
+    patient: the folder of a calibration, targets: what it was made to. others: name -> the calibration to the same targets on
+    another anatomy, such as one of uniform thickness. Emulators stand for runs: nothing is simulated. particles: of the
+    sampler, at least 100. Evidences have no units, misfits are in mm. Raises InputError, UsageError, Cancelled.
+    """
+    from lacli.api.progress import Stage
+    from lacli.base.threads import one_thread
+    from lacli.cohort import comparison
+    from lacli.cohort.patient import read_model
+    from lacli.contracts.targets import read_targets
+
+    if particles < 100:
+        raise UsageError(f"compare: {particles} particles; at least 100.")
+    wanted = read_targets(targets)
+    regional = read_model(patient, wanted)
+    models = [
+        regional,
+        comparison.Model(comparison.GLOBAL, regional.emulators, regional.box, comparison.tied_regions(regional.box.names)),
+    ]
+    if tied:
+        models.append(comparison.Model("tied", regional.emulators, regional.box, tuple(map(tuple, tied))))
+    for name, folder in (others or {}).items():
+        if name in [m.name for m in models]:
+            raise UsageError(f"compare: two models are named {name}.")
+        models.append(read_model(folder, wanted, name))
+    for model in models:
+        comparison.reduced(model)
+        if set(model.emulators.outputs) != set(regional.emulators.outputs):
+            raise UsageError(f"compare: {model.name} was calibrated to other features than {patient}.")
+    with one_thread():
+        stage = Stage("comparison", 4 * len(models), progress, cancel).begin()
+        return comparison.compare(models, wanted, particles, seed, stage.step)
 
 
 def stats(
@@ -23,9 +85,9 @@ def stats(
 ) -> Statistics:
     """Paired tests of the response between regions, and its mixed model with each predictor, plain and carried.
 
-    table: a row for each patient and region; ``<column>_sd`` beside a column is its posterior's standard deviation, or
-    ``draws`` holds joint draws of it. targets: a file of targets that the stiffness was calibrated to. Raises TableError,
-    InputError, UsageError before anything is computed.
+    Results are in the columns' own units. table: a row for each patient and region; ``<column>_sd`` beside a column is its
+    posterior's standard deviation, or ``draws`` holds joint draws of it. targets: a file of targets that the stiffness was
+    calibrated to. Raises TableError, InputError, UsageError before anything is computed.
     """
     from lacli.base.threads import one_thread
     from lacli.cohort.observations import read_observations
@@ -36,3 +98,44 @@ def stats(
     names = read_targets(targets).names if targets is not None else None
     with one_thread():
         return statistics(observed, response, predictors, names, seed)
+
+
+def write_report(folder: Path, page: Path, *, figures: Path | None = None, run: Path | None = None) -> Report:
+    """One self-contained HTML page on the folder of a run (of ``simulate``) or of a patient's calibration.
+
+    figures: folder of the figures as PDF and SVG (default: ``<page>_figures`` beside it). run: of a calibration, the folder of a
+    simulation that kept its fields, for anatomy and transients. Raises InputError, UsageError, StorageError.
+    """
+    from lacli.base.files import check_file, check_folder
+    from lacli.report.page.document import write
+    from lacli.report.page.patient import RESULT, patient_page
+    from lacli.report.page.run import run_page
+
+    kept = figures or page.with_name(f"{page.stem}_figures")
+    if page.suffix.lower() not in (".html", ".htm"):
+        raise UsageError(f"{page}: a page is an .html file.")
+    patient = (folder / RESULT).is_file()
+    if not patient and not (folder / "manifest.json").is_file():
+        raise UsageError(f"{folder}: neither a run (manifest.json) nor a finished calibration ({RESULT}).")
+    if run is not None and not patient:
+        raise UsageError("--run goes with a patient's calibration; this is a run itself.")
+    check_file(page)
+    check_folder(kept)
+    simulated = run if patient else folder
+    thickness, note = _thickness(simulated) if simulated is not None else (None, "")
+    made = patient_page(folder, kept, run, thickness, note) if patient else run_page(folder, kept, thickness, note)
+    return Report("patient" if patient else "run", page, write(made, page), kept)
+
+
+def _thickness(run: Path) -> tuple[tuple[FloatArray, FloatArray] | None, str]:
+    """Points of the endocardium and their wall thickness, mm, from the run's bundle; None and why where it is not there."""
+    from lacli.anatomy.wall.thickness import of_bundle
+    from lacli.contracts.bundle import load
+    from lacli.contracts.scene import load_scene
+
+    try:
+        bundle = load(Path(load_scene(run / "scene.toml").anatomy.bundle))
+        found = of_bundle(bundle)
+    except LacliError as error:
+        return None, f"Wall thickness is not shown: {error}"
+    return (bundle.points[found.ids], found.laplace), ""

@@ -24,7 +24,7 @@ from lacli.contracts.targets import Targets
 from lacli.inference.box import Box
 from lacli.inference.design import design
 from lacli.inference.emulation.emulator import fit_emulators
-from lacli.inference.emulation.emulator_set import EmulatorSet, emulators_identity, load_emulators, save_emulators
+from lacli.inference.emulation.emulator_set import AnyEmulators, EmulatorSet, emulators_identity, load_emulators, save_emulators
 from lacli.inference.emulation.feasibility import learn
 from lacli.inference.matching.file import load_match, save_match
 from lacli.inference.matching.matching import Match, Region, Wave, match, next_runs, ruled_out_by
@@ -41,8 +41,9 @@ BUDGETS = frozenset({"max_waves", "max_runs", "hours", *(f"mcmc.{name}" for name
 
 @dataclass(frozen=True)
 class Settings:
-    """first_runs, then wave_runs for each wave; thresholds of the waves (the last one goes on); stop when the region's
-    share changes by less than ``tolerance``, after max_waves, max_runs or when another wave would exceed ``hours``."""
+    """Runs, stops and random numbers of a calibration: first_runs, then wave_runs for each wave; thresholds of the waves (the
+    last one goes on); stop when the region's share changes by less than ``tolerance``, after max_waves, max_runs or when
+    another wave would exceed ``hours``."""
 
     first_runs: int = 200
     wave_runs: int = 100
@@ -105,7 +106,7 @@ class Calibration:
 
     waves: tuple[WaveReport, ...]
     region: Region
-    emulators: EmulatorSet
+    emulators: AnyEmulators
     samples: tuple[RegionSample, ...]
     chain: mcmc.Chain
     map_x: FloatArray
@@ -150,7 +151,7 @@ def calibrate(
     region, stopped = Region(box), ""
     reports: list[WaveReport] = []
     samples: list[RegionSample] = []
-    emulators: EmulatorSet | None = None
+    emulators: AnyEmulators | None = None
     found: Match | None = None
     number = 0
     while not stopped:
@@ -174,7 +175,7 @@ def calibrate(
         if number == 1:  # not sooner: targets or a box that leave nothing may be put right and tried again here
             write_identity(folder / FILE, identity)
         samples.append(found.sample)
-        r2 = {e.output: e.held_out_r2 for e in emulators.emulators}
+        r2 = dict(zip(emulators.outputs, emulators.held_out_r2.tolist(), strict=True))
         counts = (len(finished_x), len(failed_x))
         reports.append(WaveReport(number, *counts, wave.threshold, r2, found.share, found.share_sd, found.change, notes))
         monitor(Status("wave done", number, 1, 1, tuple(reports)))
@@ -267,7 +268,7 @@ def obstacle(folder: Path, identity: Identity) -> str:
 
 def _emulators(
     log: RunLog, x: FloatArray, targets: Targets, settings: Settings, place: Path, tick: Callable[[int, int], None]
-) -> tuple[EmulatorSet, list[str], FloatArray, FloatArray]:
+) -> tuple[AnyEmulators, list[str], FloatArray, FloatArray]:
     table = log.table(x, targets.names)
     missing = [name for name in targets.names if name not in table.outputs]
     if missing or table.inputs != log.inputs:
@@ -340,7 +341,7 @@ def _sample(
     return mcmc.sample_posterior(density, options, start, previous, keep)
 
 
-def _fit(emulators: EmulatorSet, targets: Targets, x: FloatArray, simulated: FloatArray | None) -> list[dict[str, float | str]]:
+def _fit(emulators: AnyEmulators, targets: Targets, x: FloatArray, simulated: FloatArray | None) -> list[dict[str, float | str]]:
     mean, variance = emulators.predict(x[None])
     rows: list[dict[str, float | str]] = []
     for j, name in enumerate(targets.names):

@@ -14,8 +14,7 @@ from scipy.stats import norm, qmc
 
 from lacli.base.arrays import FloatArray
 from lacli.base.threads import single_threaded
-from lacli.inference.emulation.emulator_set import EmulatorSet
-from lacli.inference.emulation.function_draws import draw_functions
+from lacli.inference.emulation.emulator_set import AnyEmulators
 
 Function = Callable[[FloatArray], FloatArray]
 
@@ -115,7 +114,7 @@ def function_indices(
 
 @single_threaded
 def emulator_indices(
-    emulators: EmulatorSet,
+    emulators: AnyEmulators,
     lower: FloatArray,
     upper: FloatArray,
     n: int = 1024,
@@ -141,8 +140,8 @@ def emulator_indices(
     here = sobol_indices(emulators.predict_mean(x).reshape(blocks, draw_n, -1), 2, seed)
     s1_sd, st_sd = np.empty_like(result.s1), np.empty_like(result.st)
     s2_sd = np.full_like(result.s2, np.nan)
-    for i, emulator in enumerate(emulators.emulators):
-        y = draw_functions(emulator, x, draws, seed + 2 + i).reshape(blocks, draw_n, draws)
+    for i in range(len(emulators.outputs)):
+        y = emulators.draw(i, x, draws, seed + 2 + i).reshape(blocks, draw_n, draws)
         drawn = sobol_indices(y, 2, seed)
         # about the mean function's index, not the draws' own mean: a mean is smoother than any function it is the mean of,
         # which makes the indices of inputs that act little too small

@@ -51,9 +51,8 @@ def fit_surrogate(density: Density, x: FloatArray) -> tuple[Surrogate, float]:
     Returns the stand-in and the standard deviation of its error in log likelihood at points kept out of the fit.
     """
     box = density.region.box
-    votes = np.mean([e.log_inputs for e in density.emulators.emulators], axis=0)
-    log_inputs = (votes > 0.5) & (box.lower > 0)
-    mean, variance = density.emulators.predict(x)
+    log_inputs = (density.emulators.log_share > 0.5) & (box.lower > 0)
+    mean, variance = density.emulators.predict_truth(x)
     y = np.hstack([mean, np.log(variance)])
     kept_out = np.zeros(len(x), bool)
     kept_out[::5] = True

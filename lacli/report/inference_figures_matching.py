@@ -10,7 +10,7 @@ import numpy as np
 
 from lacli.base.arrays import FloatArray
 from lacli.contracts.targets import Targets
-from lacli.inference.emulation.emulator_set import EmulatorSet
+from lacli.inference.emulation.emulator_set import AnyEmulators
 from lacli.inference.matching.matching import Region
 from lacli.report.inference_figures import INK, TARGET, label, save
 from lacli.report.style import paper
@@ -92,7 +92,7 @@ def _tight(figure: Any) -> None:
     figure.get_layout_engine().set(w_pad=0.01, h_pad=0.01, wspace=0.03, hspace=0.03)
 
 
-def outputs_figure(waves: Sequence[tuple[str, EmulatorSet, FloatArray]], targets: Targets, path: Path) -> Path:
+def outputs_figure(waves: Sequence[tuple[str, AnyEmulators, FloatArray]], targets: Targets, path: Path) -> Path:
     """Outputs over what each wave left (name, emulators, points (m, d)), as violins against the target ± 1 and 3 sd."""
     with paper():
         import matplotlib.pyplot as plt

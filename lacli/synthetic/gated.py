@@ -73,7 +73,7 @@ def still(seed: int, volume_ml: float | None, thickness_mm: float, acquisition: 
     label[(inside <= 0) & (valve <= 0)] = LA
     del inside, valve
     rng = np.random.default_rng([20260412, seed])
-    hu = (AROUND_HU + _texture(label.shape, grid.spacing, rng)).astype(np.float32)
+    hu = (AROUND_HU + texture(label.shape, grid.spacing, rng)).astype(np.float32)
     hu[label == WALL] = MUSCLE_HU
     hu[label == LV] = VENTRICLE_HU
     hu[label == LA] = BLOOD_HU
@@ -82,7 +82,7 @@ def still(seed: int, volume_ml: float | None, thickness_mm: float, acquisition: 
     return Still(Image(hu, grid.spacing, grid.low, eye), Image(label, grid.spacing, grid.low, eye))
 
 
-def _texture(shape: tuple[int, ...], spacing: FloatArray, rng: np.random.Generator) -> NDArray[np.float32]:
+def texture(shape: tuple[int, ...], spacing: FloatArray, rng: np.random.Generator) -> NDArray[np.float32]:
     """Noise of TEXTURE_HU with lumps of TEXTURE_MM, whatever the voxels: drawn on a grid of 1 mm and splined."""
     count = np.ceil(np.array(shape) * spacing[::-1]).astype(int) + 2
     coarse = ndimage.gaussian_filter(rng.normal(size=tuple(count)), TEXTURE_MM / 2.0)

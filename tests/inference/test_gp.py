@@ -49,7 +49,7 @@ def test_likelihood_is_the_restricted_one():
         ki = np.linalg.inv(k)
         a = h.T @ ki @ h
         p = ki - ki @ h @ np.linalg.inv(a) @ h.T @ ki
-        centre, spread = gp._prior(3)
+        centre, spread = gp.prior(3)
         return (
             0.5 * (np.linalg.slogdet(k)[1] + np.linalg.slogdet(a)[1] + y @ p @ y) + 0.5 * (((theta - centre) / spread) ** 2).sum()
         )

@@ -8,6 +8,7 @@ from lacli.contracts.tables.table import RunTable
 from lacli.contracts.targets import Targets
 from lacli.inference.box import make_box
 from lacli.inference.design import design, farthest
+from lacli.inference.emulation import feasibility
 from lacli.inference.emulation.emulator import fit_emulators
 from lacli.inference.emulation.emulator_set import EmulatorSet
 from lacli.inference.emulation.feasibility import learn
@@ -123,3 +124,52 @@ def test_failures_are_learnt_and_avoided():
     share = [(c[:, 0] + c[:, 1] > 0.8).mean() for c in (chosen, blind)]
     assert share[0] < 0.25 * share[1]
     assert learn(BOX, x, x[:2]) is None
+
+
+def test_very_many_runs_are_learnt_from_in_bounded_time(monkeypatch):
+    """Of 5,000 runs, 100 are taken and no more; the few failures among them are not lost."""
+    monkeypatch.setattr(feasibility, "_MOST_RUNS", 100)
+    x = BOX.uniform(5000, np.random.default_rng(0))
+    edge = BOX.lower[0] + 0.9 * (BOX.upper[0] - BOX.lower[0])
+    fails = x[:, 0] > edge
+    model = learn(BOX, x[~fails], x[fails])
+    assert model.used == len(model.classifier.base_estimator_.X_train_) == 100
+    assert f"{fails.sum()} of 5000 runs failed (learnt from 100 of them" in model.describe()
+    asked = BOX.uniform(400, np.random.default_rng(1))
+    assert (model.accept(asked) == (asked[:, 0] > edge)).mean() < 0.1
+
+
+def correlated(rho, targets=("y0", "y1"), sd=(0.2, 0.4)):
+    """y = x0, x1, both targets 0, their errors correlated by rho."""
+    sd = np.array(sd)
+    covariance = np.array([[1.0, rho], [rho, 1.0]]) * np.outer(sd, sd)
+    return Wave(ExactEmulators(3, 2, lambda x: x[:, :2]), Targets(targets, np.zeros(2), sd, covariance), 3.0)
+
+
+def test_targets_that_err_together_rule_out_by_their_difference():
+    # x = (0.2, -0.4): one sd off each, apart. Components (1, 1)/sqrt 2 and (1, -1)/sqrt 2 of the errors in sd, variances 1 + rho
+    # and 1 - rho: (1 - 1)/sqrt 2 = 0, and (1 + 1)/sqrt 2 / sqrt 0.02 = 10
+    wave = correlated(0.98)
+    value = wave.implausibility(np.array([[0.2, -0.4, 0.0]]))[0]
+    assert np.sort(value) == pytest.approx([0.0, 1.0, 1.0, 10.0], abs=1e-6)
+    assert "y0" in ruled_out_by(wave, np.array([[0.2, -0.4, 0.0]])) and "10.00" in ruled_out_by(
+        wave, np.array([[0.2, -0.4, 0.0]])
+    )
+    # both off the same way are no worse than each alone: sqrt 2 / sqrt 1.98
+    assert wave.implausibility(np.array([[0.2, 0.4, 0.0]])).max() == pytest.approx(np.sqrt(2 / 1.98))
+    # as without a covariance where the errors are not correlated
+    alone = Wave(wave.emulators, Targets(wave.targets.names, wave.targets.mean, wave.targets.sd), 3.0)
+    x = BOX.uniform(500, np.random.default_rng(0))
+    assert np.array_equal(correlated(0.0).level(x), alone.level(x))
+    assert wave.signed(x).shape == (500, 4) and alone.signed(x).shape == (500, 2)
+
+
+def test_the_quick_answer_is_the_exact_one_with_components(fitted):
+    covariance = 0.0025 * np.array([[1.0, 0.9], [0.9, 1.0]])
+    wave = Wave(fitted, Targets(("p", "q"), np.array([1.2, 0.1]), np.array([0.05, 0.05]), covariance), 3.0)
+    x = BOX.uniform(20_000, np.random.default_rng(0))
+    level = wave.level(x)
+    alone = Wave(fitted, Targets(("p", "q"), wave.targets.mean, wave.targets.sd), 3.0)
+    assert (level >= alone.level(x)).all() and (level > 1.01 * alone.level(x)).any()
+    for t in (0.3, 1.0, 4.0):
+        assert np.array_equal(wave.below(x, t), level < t)

@@ -9,7 +9,7 @@ import typer
 
 from lacli.api import inference
 from lacli.cli.terminal.console import out, print_json, print_table, stages
-from lacli.cli.terminal.tables import BoxFile, Inputs, Json, Linear, Names, Outputs, Seed, box_of_inputs, read, superseded
+from lacli.cli.terminal.tables import BoxFile, Inputs, Json, Linear, Names, Outputs, Seed, read
 
 
 def command(
@@ -22,6 +22,9 @@ def command(
     figures: Annotated[bool, typer.Option(help="Draw predicted against simulated beside the emulators.")] = True,
     box_file: BoxFile = None,
     linear: Linear = None,
+    gradients: Annotated[
+        bool, typer.Option(help="Learn from columns d<output>/d<input> (in the output's unit over the input's) too.")
+    ] = True,
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
@@ -29,14 +32,17 @@ def command(
 
     Example: lacli emulate --inputs X.csv --outputs Y.csv --out emulators.npz
     """
-    from lacli.base.files import check_file
+    from lacli.base.files import check_file, superseded
     from lacli.inference.emulation.emulator_set import save_emulators
+    from lacli.inference.given import box_of_inputs
 
     check_file(file)
     table = read(inputs, outputs, names)
     with stages() as show:
         box = box_of_inputs(table.inputs, box_file) if box_file else None
-        made = inference.emulate(table, box=box, linear=linear or (), folds=folds, starts=starts, seed=seed, progress=show)
+        made = inference.emulate(
+            table, box=box, linear=linear or (), folds=folds, starts=starts, seed=seed, gradients=gradients, progress=show
+        )
     scores = made.scores
     save_emulators(file, made.emulators, made.identity)
     superseded(file.parent, file.with_suffix(".png").name)
@@ -51,6 +57,7 @@ def command(
                 "emulators": str(file),
                 "runs": table.runs,
                 "failed": len(table.failed_x),
+                "gradients": gradients and table.gradients is not None,
                 "notes": list(table.notes),
                 "outputs": {s.output: {"r2": s.r2, "ise": s.ise, "nlpd": s.nlpd, "train_cpu_s": s.train_cpu_s} for s in scores},
                 "pictures": [str(p) for p in pictures],
@@ -58,5 +65,6 @@ def command(
         )
         return
     rows = [[s.output, s.r2, s.ise, s.nlpd, s.train_cpu_s] for s in scores]
-    print_table(f"{table.runs} runs, {folds} folds", ["output", "R2", "within 2 sd", "NLPD", "CPU s"], rows)
+    learnt = "runs with gradients" if gradients and table.gradients is not None else "runs"
+    print_table(f"{table.runs} {learnt}, {folds} folds", ["output", "R2", "within 2 sd", "NLPD", "CPU s"], rows)
     out.print(f"Emulators in {file}", highlight=False, soft_wrap=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 import pandas as pd
@@ -61,9 +61,11 @@ def error_of(name: str, names: Sequence[str]) -> str | None:
     return next((name.removesuffix(s) for s in ERROR_SUFFIXES if name.endswith(s) and name.removesuffix(s) in names), None)
 
 
-def derivative_of(name: str, outputs: Sequence[str]) -> str | None:
-    """The output among ``outputs`` of which a column named ``d<output>/d<input>`` is a derivative."""
-    return next((output for output in outputs if name.startswith(f"d{output}/d")), None)
+def derivative_of(name: str, outputs: Collection[str]) -> tuple[str, str] | None:
+    """The output among ``outputs`` of which a column named ``d<output>/d<input>`` is a derivative, and the input it is by."""
+    parts = name[1:].split("/d") if name.startswith("d") else []
+    splits = (("/d".join(parts[:i]), "/d".join(parts[i:])) for i in range(1, len(parts)))
+    return next(((output, given) for output, given in splits if output in outputs and given), None)
 
 
 def _word(value: object) -> str:

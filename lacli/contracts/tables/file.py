@@ -15,7 +15,7 @@ from lacli.base.errors import TableError
 
 # a table of runs is small; what is larger is another kind of file
 MOST_ROWS = 200_000
-MOST_COLUMNS = 2_000
+MOST_COLUMNS = 10_000  # 300 outputs and their derivatives by 30 inputs
 MOST_BYTES = 512 << 20
 _MOST_CELLS = 20_000_000
 _LONGEST_HEADER = 1 << 20

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from lacli.base.arrays import FloatArray
+from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import TableError, UsageError
 from lacli.contracts.tables import checks
 from lacli.contracts.tables.columns import (
@@ -24,6 +24,7 @@ from lacli.contracts.tables.columns import (
     run_states,
 )
 from lacli.contracts.tables.file import listed, read_frame
+from lacli.contracts.tables.gradients import check_gradients, read_gradients
 from lacli.contracts.tables.pairing import check_shared_columns, pair
 
 __all__ = ["ERROR_SUFFIX", "STATUS", "RunTable", "combine", "fewest_runs", "input_values", "is_bookkeeping", "read_frame"]
@@ -38,7 +39,8 @@ class RunTable:
 
     x (n, d) inputs, y (n, p) outputs in the columns' own units; error_sd (n, p) each run's discretisation error
     (one standard deviation, 0 where unknown); failed_x (f, d) inputs of failed runs; notes: what was done to the
-    table, in words for the user.
+    table, in words for the user; gradients (n, d, p): derivatives of the outputs by the inputs, in the output's unit over
+    the input's, NaN where unknown; None where none are known.
     """
 
     inputs: tuple[str, ...]
@@ -48,11 +50,17 @@ class RunTable:
     error_sd: FloatArray
     failed_x: FloatArray
     notes: tuple[str, ...] = field(default=())
+    gradients: FloatArray | None = None
 
     @property
     def runs(self) -> int:
         """Number of finished runs."""
         return len(self.x)
+
+    def rows(self, which: IntArray) -> RunTable:
+        """Some of the finished runs, in that order."""
+        gradients = None if self.gradients is None else self.gradients[which]
+        return replace(self, x=self.x[which], y=self.y[which], error_sd=self.error_sd[which], gradients=gradients)
 
     def select(self, outputs: Sequence[str]) -> RunTable:
         """The same runs with only the named outputs, in that order."""
@@ -60,7 +68,10 @@ class RunTable:
         if missing:
             raise UsageError(f"no output {listed(missing)} in the table; it has {listed(self.outputs)}.")
         j = [self.outputs.index(name) for name in outputs]
-        return RunTable(self.inputs, tuple(outputs), self.x, self.y[:, j], self.error_sd[:, j], self.failed_x, self.notes)
+        gradients = None if self.gradients is None else self.gradients[:, :, j]
+        return RunTable(
+            self.inputs, tuple(outputs), self.x, self.y[:, j], self.error_sd[:, j], self.failed_x, self.notes, gradients
+        )
 
 
 def combine(
@@ -78,7 +89,8 @@ def combine(
     says so, or an output is missing, not finite, or a mark of failure (1e20 where others are near 1): failures are kept as
     places where the simulator fails. Runs that never finished are left out. Columns that never vary are set aside with a
     note; a run that repeats another in inputs and outputs is used once; of more than ``most`` runs, that many are drawn at
-    random (the same every time). ``<output>_error`` or ``_sd`` beside an output is its error.
+    random (the same every time). ``<output>_error`` or ``_sd`` beside an output is its error, ``d<output>/d<input>`` its
+    derivative, checked against differences between the runs.
 
     Raises TableError for a missing input value, rows that do not pair, words of status that are not known, names not
     found, columns of no numbers, inputs that depend on each other, or too few finished runs.
@@ -92,9 +104,9 @@ def combine(
         if (states := run_states(frame, where)) is not None:
             done &= states[0]
             failed |= states[1]
-    x_frame = inputs[_inputs(inputs, input_names, where, notes)]
+    x_frame = inputs[_inputs(inputs, input_names, set(outputs.columns), where, notes)]
     x = input_values(x_frame, where)
-    names = _outputs(outputs, output_names, where, notes)
+    names = _outputs(outputs, output_names, list(x_frame.columns), where, notes)
     y_frame = numbers(outputs[names], f"{where}: outputs")
     shared = [name for name in y_frame.columns if name in x_frame.columns]
     if shared:
@@ -102,18 +114,21 @@ def combine(
     check_shared_columns(inputs, outputs, where)
     y = y_frame.to_numpy(float)
     error = _errors(outputs, names, where, notes)
+    gradients = read_gradients(outputs, names, list(x_frame.columns), where)
     ok = _finished(y, done, failed, names, notes)
     failed_x, rows = x[~ok & (done | failed)], np.flatnonzero(ok)
     checks.check_sizes(list(x_frame.columns), x, f"{where}: input")
     checks.check_sizes(names, y[rows], f"{where}: output")
     rows = _thinned(_once(x, y, rows, notes), most, notes)
     x, y, error = x[rows], y[rows], error[rows]
+    gradients = None if gradients is None else gradients[rows]
     names_x = list(x_frame.columns)
     if len(x):
         moving = _varying("input", names_x, x, notes)
         x, failed_x, names_x = x[:, moving], failed_x[:, moving], [names_x[j] for j in moving]
         varying = _varying("output", names, y, notes)
         y, error, names = y[:, varying], error[:, varying], [names[j] for j in varying]
+        gradients = None if gradients is None else gradients[:, moving][:, :, varying]
         if not names_x or not names:
             raise TableError(
                 f"{where}: {'no input' if not names_x else 'no output'} varies between the runs; there is nothing to learn."
@@ -125,7 +140,22 @@ def combine(
             " for a linear mean with cross-validation. Add runs with `lacli design`."
         )
     checks.check_inputs(names_x, x, where, notes)
-    return RunTable(tuple(names_x), tuple(names), x, y, error, failed_x, tuple(notes))
+    if gradients is not None:
+        gradients = _known_gradients(gradients, notes)
+    if gradients is not None:
+        check_gradients(x, y, gradients, names_x, names, where)
+    return RunTable(tuple(names_x), tuple(names), x, y, error, failed_x, tuple(notes), gradients)
+
+
+def _known_gradients(gradients: FloatArray, notes: list[str]) -> FloatArray | None:
+    """The gradients (n, d, p), None where not one is known; runs that tell none are noted."""
+    known = np.isfinite(gradients).any((1, 2))
+    if not known.any():
+        notes.append("the columns of derivatives are empty in every run that is used.")
+        return None
+    if not known.all():
+        notes.append(f"{int((~known).sum())} run(s) tell no derivatives; their values are used.")
+    return gradients
 
 
 def fewest_runs(d: int) -> int:
@@ -133,23 +163,39 @@ def fewest_runs(d: int) -> int:
     return int(np.ceil((d + 4) / 0.8))
 
 
-def _inputs(frame: pd.DataFrame, names: Sequence[str] | None, where: str, notes: list[str]) -> list[str]:
+def _inputs(
+    frame: pd.DataFrame, names: Sequence[str] | None, outputs: Collection[str], where: str, notes: list[str]
+) -> list[str]:
     if names is not None:
         return _named(frame, names, f"{where}: input")
     _say_labels(frame, "input", notes)
+    if strays := [name for name in frame.columns if derivative_of(name, outputs)]:
+        raise TableError(f"{where}: {listed(strays, 3)} among the inputs: derivatives belong beside the outputs, in their table.")
     return [name for name in frame.columns if not is_bookkeeping(name)]
 
 
-def _outputs(frame: pd.DataFrame, names: Sequence[str] | None, where: str, notes: list[str]) -> list[str]:
-    """The columns that are outputs: neither labels, nor errors or derivatives of others."""
+def _outputs(frame: pd.DataFrame, names: Sequence[str] | None, inputs: Sequence[str], where: str, notes: list[str]) -> list[str]:
+    """The columns that are outputs: neither labels, nor errors or derivatives of others.
+
+    Raises TableError for a derivative by what is no input, or of what is no output.
+    """
+    columns = [name for name in frame.columns if not is_bookkeeping(name)]
+    there = set(columns)
+    derivatives = {name: parts for name in columns if (parts := derivative_of(name, there)) is not None}
+    for name, (_, given) in derivatives.items():
+        if given not in inputs and given not in there:
+            raise TableError(f"{where}: {name} is a derivative by {given}, which is no input; the inputs are {listed(inputs)}.")
+    if lost := [name for name in columns if name not in derivatives and _by_an_input(name, inputs)]:
+        raise TableError(f"{where}: {listed(lost, 3)}: a derivative of what is no output of the table. Correct or remove it.")
     if names is not None:
         return _named(frame, names, f"{where}: output")
     _say_labels(frame, "output", notes)
-    columns = [name for name in frame.columns if not is_bookkeeping(name)]
-    derivatives = [name for name in columns if derivative_of(name, columns) is not None]
-    if derivatives:
-        notes.append(f"columns of derivatives ({listed(derivatives, 3)}) are not used here.")
     return [name for name in columns if error_of(name, columns) is None and name not in derivatives]
+
+
+def _by_an_input(name: str, inputs: Sequence[str]) -> bool:
+    """Whether a column's name is that of a derivative by one of the inputs."""
+    return any(name.startswith("d") and name.endswith(f"/d{given}") for given in inputs)
 
 
 def _named(frame: pd.DataFrame, names: Sequence[str], what: str) -> list[str]:

@@ -16,8 +16,10 @@ from lacli.base.schema import Array, array_file, unfit, write_arrays
 from lacli.base.threads import one_thread
 from lacli.contracts.identity import Identity, array_digest, identify
 from lacli.contracts.tables.table import RunTable
-from lacli.inference.emulation import gp, moments
+from lacli.inference.emulation import gp, gradient_file, moments
 from lacli.inference.emulation.emulator import Emulator
+from lacli.inference.emulation.function_draws import draw_functions
+from lacli.inference.emulation.gradient_gp import GradientEmulators
 from lacli.inference.emulation.run_errors import RunErrors, run_errors
 from lacli.inference.emulation.scales import LARGEST_EXPONENT, OutputScale
 
@@ -70,7 +72,7 @@ class _Stack:
 
 @dataclass(frozen=True)
 class EmulatorSet:
-    """Emulators (p) of the outputs of one simulator with d inputs."""
+    """AnyEmulators (p) of the outputs of one simulator with d inputs."""
 
     inputs: tuple[str, ...]
     emulators: tuple[Emulator, ...]
@@ -88,6 +90,20 @@ class EmulatorSet:
     def runs(self) -> int:
         """Number of training runs."""
         return len(self.emulators[0].process.y)
+
+    @property
+    def held_out_r2(self) -> FloatArray:
+        """R2 (p,) of each output at runs that were left out."""
+        return np.array([e.held_out_r2 for e in self.emulators])
+
+    @property
+    def log_share(self) -> FloatArray:
+        """The share of the emulators that take each input's logarithm (d,)."""
+        return np.mean([e.log_inputs for e in self.emulators], axis=0)
+
+    def draw(self, j: int, x: FloatArray, draws: int, seed: int) -> FloatArray:
+        """Values (m, draws) at x (m, d) of functions drawn from output j's emulator, in the output's units."""
+        return draw_functions(self.emulators[j], x, draws, seed)
 
     def range(self) -> tuple[FloatArray, FloatArray]:
         """Lowest and highest training inputs (d,), in their units."""
@@ -167,6 +183,10 @@ class EmulatorSet:
         if s.sign[j, 0] < 0:  # the mean falls with the variance
             mean = mean[::-1]
         return mean[0], mean[1], variance[0], variance[1]
+
+
+# whatever is learnt from runs, it is asked in the same way
+AnyEmulators = EmulatorSet | GradientEmulators
 
 
 def _features(s: _Stack, x: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -268,10 +288,10 @@ def _arrays(emulators: EmulatorSet) -> dict[str, Any]:
     return arrays
 
 
-def save_emulators(path: Path, emulators: EmulatorSet, identity: Identity | None = None) -> None:
+def save_emulators(path: Path, emulators: AnyEmulators, identity: Identity | None = None) -> None:
     """Write the emulators to an .npz file (numbers and names only), with what they were made from (else they are used where
     they are named, and nowhere found again); the file appears whole or not at all."""
-    arrays = _arrays(emulators)
+    arrays = _arrays(emulators) if isinstance(emulators, EmulatorSet) else gradient_file.arrays(emulators)
     if identity is not None:
         arrays["identity"] = np.array(identity.text())
     write_arrays(path, arrays)
@@ -282,12 +302,14 @@ def emulators_identity(table: RunTable, **options: Any) -> Identity:
     return identify("emulators", runs={f.name: getattr(table, f.name) for f in fields(table) if f.name != "notes"}, **options)
 
 
-def load_emulators(path: Path) -> EmulatorSet:
+def load_emulators(path: Path) -> AnyEmulators:
     """Read what ``save_emulators`` wrote. Raises InputError if the file is missing, damaged or of another kind."""
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such emulator file. Make it with `lacli emulate`.")
     with array_file(path, "an emulator file", _REMEDY, sealed=True) as file, one_thread():
+        if gradient_file.MARK in file.names:
+            return gradient_file.read(file)
         number = int(file.read({"format": Array("int")})["format"])
         if number != FORMAT:
             raise InputError(f"{path}: written in format {number}, this program reads {FORMAT}. {_REMEDY}")

@@ -128,12 +128,13 @@ def negative_log_likelihood(theta: FloatArray, u: FloatArray, y: FloatArray, noi
     gradient[:d] = 2.0 * (rows @ square - np.einsum("ij,ij->j", z, weight @ z))
     gradient[d + 1] = s2 * eta * trace
     gradient[d] = rows.sum() + gradient[d + 1]
-    centre, spread = _prior(d)
+    centre, spread = prior(d)
     off = (theta - centre) / spread
     return float(value + 0.5 * off @ off), gradient + off / spread
 
 
-def _prior(d: int) -> tuple[FloatArray, FloatArray]:
+def prior(d: int) -> tuple[FloatArray, FloatArray]:
+    """Centre and standard deviation (d + 2,) of theta's weak log-normal priors."""
     centre = np.array([_LENGTH_PRIOR[0]] * d + [_S2_PRIOR[0], _ETA_PRIOR[0]])
     spread = np.array([_LENGTH_PRIOR[1]] * d + [_S2_PRIOR[1], _ETA_PRIOR[1]])
     return centre, spread

@@ -12,6 +12,7 @@ import numpy as np
 from lacli.base.arrays import BoolArray, FloatArray
 from lacli.contracts.tables.table import RunTable
 from lacli.inference.emulation.emulator import fit_emulator, folds
+from lacli.inference.emulation.gradient_gp import fit_gradient_emulators
 from lacli.inference.emulation.scales import may_be_logarithmic
 
 
@@ -75,3 +76,25 @@ def cross_validate(
         r2, ise, nlpd = score(table.y[:, j], mean, variance)
         result.append(Scores(output, r2, ise, nlpd, cpu, mean, np.sqrt(variance)))
     return result
+
+
+def cross_validate_gradients(
+    table: RunTable, *, count: int = 5, seed: int = 0, tick: Callable[[], None] | None = None, may_log: BoolArray | None = None
+) -> list[Scores]:
+    """Scores of every output over ``count`` folds, emulators learning from gradients too and fitted anew in each fold;
+    train_cpu_s: an output's share of one fit. may_log as in ``fit_gradient_emulators``, which says what it raises."""
+    may_log = may_be_logarithmic(table.x) if may_log is None else may_log
+    mean, variance = np.empty_like(table.y), np.empty_like(table.y)
+    begin = time.process_time()
+    parts = folds(table.runs, count, np.random.default_rng(seed))
+    for part in parts:
+        fitted = fit_gradient_emulators(table.rows(np.setdiff1d(np.arange(table.runs), part)), seed=seed, may_log=may_log)
+        mean[part], variance[part] = fitted.predict(table.x[part])
+        if tick is not None:
+            tick()
+    cpu = (time.process_time() - begin) / len(parts) / len(table.outputs)
+    variance += table.error_sd**2
+    return [
+        Scores(name, *score(table.y[:, j], mean[:, j], variance[:, j]), cpu, mean[:, j], np.sqrt(variance[:, j]))
+        for j, name in enumerate(table.outputs)
+    ]

@@ -1,13 +1,16 @@
 """History matching: implausibility, waves, the region not ruled out yet (NROY), and the next runs.
 
-I(x)^2 = max over outputs of (E f(x) - mu)^2 / (Var f(x) + sigma^2). A wave rules out what has I >= threshold; the
-region is what no wave has ruled out.
+I(x)^2 = max over outputs of (E f(x) - mu)^2 / (Var f(x) + sigma^2). Where the targets' errors are correlated, the maximum
+is over the components that are not as well: combinations w of outputs, the eigenvectors of the errors' correlation, with
+(w (E f - mu))^2 / (sum w^2 Var f + w S w). Two targets that err together tell by their difference what neither tells alone.
+A wave rules out what has I >= threshold; the region is what no wave has ruled out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,33 +21,53 @@ from lacli.base.threads import single_threaded
 from lacli.contracts.targets import Targets
 from lacli.inference.box import Box
 from lacli.inference.design import farthest
-from lacli.inference.emulation.emulator_set import EmulatorSet
+from lacli.inference.emulation.emulator_set import AnyEmulators
 from lacli.inference.matching.nroy import RegionSample, sample_region
 
 # a region smaller than this share of the sweep's points is measured by nested levels instead
 _FEWEST_INSIDE = 400
 _WALKERS = 2000
+_LEAST_VARIANCE = 1e-9  # of a component, in the targets' own variances: rounding may leave less than nothing
 
 
 @dataclass(frozen=True)
 class Wave:
     """One wave: emulators of the outputs of ``targets`` (same order) and the threshold on I."""
 
-    emulators: EmulatorSet
+    emulators: AnyEmulators
     targets: Targets
     threshold: float
 
+    @cached_property
+    def components(self) -> tuple[FloatArray, FloatArray]:
+        """Weights (q, p) of the whitened components on the outputs, and variances (q,): combinations of targets whose
+        errors are not correlated; none (q = 0) where those of the targets are not."""
+        covariance, sd = self.targets.covariance, self.targets.sd
+        if covariance is None or np.allclose(
+            covariance, np.diag(np.diag(covariance)), rtol=0.0, atol=1e-12 * float(sd.max()) ** 2
+        ):
+            return np.empty((0, len(sd))), np.empty(0)
+        variance, vectors = np.linalg.eigh(covariance / np.outer(sd, sd))
+        return vectors.T / sd, np.maximum(variance, _LEAST_VARIANCE)
+
+    def _whitened(self, mean: FloatArray, variance: FloatArray) -> FloatArray:
+        """The components' signed implausibilities (m, q) from predicted mean and variance (m, p)."""
+        weights, own = self.components
+        return ((mean - self.targets.mean) @ weights.T) / np.sqrt(variance @ (weights**2).T + own)
+
     def signed(self, x: FloatArray) -> FloatArray:
-        """(E f - mu) / sqrt(Var f + sigma^2) (m, p) of each output at x (m, d); Var f with the runs' own error."""
+        """(E f - mu) / sqrt(Var f + sigma^2) (m, p + q) of each output and each whitened component at x (m, d); Var f with the
+        runs' own error."""
         mean, variance = self.emulators.predict_truth(x)
-        return (mean - self.targets.mean) / np.sqrt(variance + self.targets.sd**2)
+        alone = (mean - self.targets.mean) / np.sqrt(variance + self.targets.sd**2)
+        return np.hstack([alone, self._whitened(mean, variance)])
 
     def implausibility(self, x: FloatArray) -> FloatArray:
-        """I (m, p) of each output at x (m, d); its maximum over the outputs is the wave's implausibility."""
+        """I (m, p + q) of each output and component at x (m, d); the largest is the wave's implausibility."""
         return np.abs(self.signed(x))
 
     def level(self, x: FloatArray) -> FloatArray:
-        """max over outputs of I / threshold (m,): below 1 where the wave rules nothing out."""
+        """max over outputs and components of I / threshold (m,): below 1 where the wave rules nothing out."""
         return self.implausibility(x).max(1) / self.threshold
 
     def below(self, x: FloatArray, t: float) -> NDArray[np.bool_]:
@@ -71,6 +94,8 @@ class Wave:
             open_ = open_[~out]
             if not len(open_):
                 break
+        if len(open_) and len(self.components[1]):
+            open_ = open_[(np.abs(self._whitened(*self.emulators.predict_truth(x[open_]))) < bound).all(axis=1)]
         result = np.zeros(len(x), bool)
         result[open_] = True
         return result
@@ -80,7 +105,7 @@ class Wave:
         if not hasattr(self, "_cached_order"):
             low, high = self.emulators.range()
             x = low + np.random.default_rng(0).random((512, len(low))) * (high - low)
-            order = np.argsort(-np.median(self.implausibility(x), axis=0), kind="stable")
+            order = np.argsort(-np.median(self.implausibility(x)[:, : len(self.targets.names)], axis=0), kind="stable")
             object.__setattr__(self, "_cached_order", [int(j) for j in order])
         return self._cached_order  # type: ignore[attr-defined]
 
@@ -224,6 +249,14 @@ def ruled_out_by(wave: Wave, x: FloatArray) -> str:
     value = wave.implausibility(x)[0]
     j = int(value.argmax())
     mean, _ = wave.emulators.predict(x)
+    if j >= len(wave.targets.names):
+        weights = wave.components[0][j - len(wave.targets.names)] * wave.targets.sd
+        most = np.argsort(-np.abs(weights))[:3]
+        names = ", ".join(f"{wave.targets.names[k]} ({weights[k]:+.2f})" for k in most)
+        return (
+            f"targets whose errors go together differ among each other as those errors do not: mostly {names}"
+            f" (implausibility of that combination {value[j]:.2f}, threshold {wave.threshold:g})"
+        )
     return (
         f"{wave.targets.names[j]} is {mean[0, j]:.4g} where the target is {wave.targets.mean[j]:.4g} ± {wave.targets.sd[j]:.3g}"
         f" (implausibility {value[j]:.2f}, threshold {wave.threshold:g})"

@@ -13,7 +13,7 @@ import numpy as np
 
 from lacli.base.arrays import FloatArray
 from lacli.contracts.targets import Targets
-from lacli.inference.emulation.emulator_set import EmulatorSet
+from lacli.inference.emulation.emulator_set import AnyEmulators
 from lacli.inference.matching.matching import Region
 
 _ENTRIES = 4_000_000  # of the covariances that are in memory at a time
@@ -51,7 +51,7 @@ class Density:
     ``region`` with no waves is the box. ``emulators`` has the outputs of ``targets`` in the same order.
     """
 
-    emulators: EmulatorSet
+    emulators: AnyEmulators
     targets: Targets
     region: Region
 

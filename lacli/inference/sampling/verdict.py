@@ -12,7 +12,7 @@ from lacli.base.arrays import FloatArray
 from lacli.base.threads import single_threaded
 from lacli.contracts.targets import Targets
 from lacli.inference.box import Box
-from lacli.inference.emulation.emulator_set import EmulatorSet
+from lacli.inference.emulation.emulator_set import AnyEmulators
 
 _SWEEP = 1 << 13
 # an input whose most probable value is within this share of its range of an end sits there, if the draws gather there too:
@@ -83,7 +83,7 @@ class Verdict:
 
 @single_threaded
 def judge(
-    emulators: EmulatorSet, targets: Targets, box: Box, x: FloatArray, threshold: float = 3.0, draws: FloatArray | None = None
+    emulators: AnyEmulators, targets: Targets, box: Box, x: FloatArray, threshold: float = 3.0, draws: FloatArray | None = None
 ) -> Verdict:
     """Hold the most probable point x (d,) against the targets, whose outputs are the emulators' in the same order.
 

@@ -1,0 +1,54 @@
+"""A methods paragraph of what was really modelled, with citations and versions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from lacli.contracts.scene import Scene
+from lacli.report.page.references import SHORT
+
+
+def of_run(scene: Scene, versions: Mapping[str, Any]) -> tuple[str, list[str]]:
+    """The paragraph on a simulation, and the keys that it cites. versions: of the run's manifest."""
+    keys = ["Hecht2012", "Roney2019"]
+    law = scene.materials.law
+    words = [
+        f"Quasi-static equilibria of the left atrium were computed with lacli {versions.get('lacli', '')} and FreeFEM"
+        f" {versions.get('freefem', '')} ({SHORT['Hecht2012']}), on tetrahedra of order {scene.numerics.order}, in five regions"
+        f" from universal atrial coordinates ({SHORT['Roney2019']})."
+    ]
+    if law == "guccione":
+        keys.append("Guccione1991")
+        words.append(f"The wall is transversely isotropic ({SHORT['Guccione1991']}), nearly incompressible")
+    else:
+        words.append(f"The wall follows the law {law}, nearly incompressible")
+    words[-1] += f" (bulk modulus {scene.materials.kappa_kpa:g} kPa)."
+    loads = scene.loads
+    if loads.transient_mmhg is not None:
+        words.append("Endocardial pressure follows a given transient.")
+    else:
+        words.append(_idealised(loads.edp_mmhg, loads.esp_mmhg))
+    if scene.numerics.unloading == "prestrain":
+        words.append("The image's shape at end-diastole is balanced by a prestrain.")
+    elif loads.edp_mmhg > 0:
+        keys.append("Bols2013")
+        words.append(f"The unloaded state was found by backward displacement ({SHORT['Bols2013']}).")
+    return " ".join(words), keys
+
+
+def _idealised(edp: float, esp: float) -> str:
+    return f"Endocardial pressure rises from {edp:g} mmHg at end-diastole to {esp:g} mmHg at end-systole."
+
+
+def of_calibration(result: Mapping[str, Any]) -> tuple[str, list[str]]:
+    """The paragraph on a calibration, and the keys that it cites. result: the document of ``result.json``."""
+    waves = result["waves"]
+    runs = sum(int(w["runs"]) for w in waves[-1:])
+    names = ", ".join(str(row["input"]) for row in result["posterior"])
+    text = (
+        f"The inputs {names} were calibrated to {len(result['fit'])} features with one Gaussian-process emulator each,"
+        f" {len(waves)} wave{'s' if len(waves) > 1 else ''} of history matching ({SHORT['Vernon2010']}; {runs} runs in the last"
+        f" wave's table) and the affine-invariant sampler emcee ({SHORT['ForemanMackey2013']}; {result['samples']} samples kept)."
+    )
+    return text, ["Vernon2010", "ForemanMackey2013"]

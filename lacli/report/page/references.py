@@ -1,0 +1,56 @@
+"""What a methods paragraph cites, as BibTeX."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+
+def _article(key: str, author: str, title: str, journal: str, year: int, where: str, doi: str) -> str:
+    fields = {"author": author, "title": f"{{{title}}}", "journal": journal, "year": str(year), "pages": where, "doi": doi}
+    return f"@article{{{key},\n" + ",\n".join(f"  {name} = {{{value}}}" for name, value in fields.items()) + "\n}"
+
+
+_ENTRIES = {
+    "Hecht2012": (
+        "Hecht, F.", "New development in FreeFem++", "Journal of Numerical Mathematics", 2012, "251--265",
+        "10.1515/jnum-2012-0013",
+    ),
+    "Guccione1991": (
+        "Guccione, J. M. and McCulloch, A. D. and Waldman, L. K.",
+        "Passive material properties of intact ventricular myocardium determined from a cylindrical model",
+        "Journal of Biomechanical Engineering", 1991, "42--55", "10.1115/1.2894084",
+    ),
+    "Roney2019": (
+        "Roney, C. H. and others",
+        "Universal atrial coordinates applied to visualisation, registration and construction of patient specific meshes",
+        "Medical Image Analysis", 2019, "65--75", "10.1016/j.media.2019.04.004",
+    ),
+    "Bols2013": (
+        "Bols, J. and others",
+        "A computational method to assess the in vivo stresses and unloaded configuration of patient-specific blood vessels",
+        "Journal of Computational and Applied Mathematics", 2013, "10--17", "10.1016/j.cam.2012.10.034",
+    ),
+    "Vernon2010": (
+        "Vernon, I. and Goldstein, M. and Bower, R. G.", "Galaxy formation: a Bayesian uncertainty analysis",
+        "Bayesian Analysis", 2010, "619--669", "10.1214/10-BA524",
+    ),
+    "ForemanMackey2013": (
+        "Foreman-Mackey, D. and Hogg, D. W. and Lang, D. and Goodman, J.", "emcee: The MCMC Hammer",
+        "Publications of the Astronomical Society of the Pacific", 2013, "306--312", "10.1086/670067",
+    ),
+}  # fmt: skip
+SHORT = {
+    "Hecht2012": "Hecht 2012",
+    "Guccione1991": "Guccione et al. 1991",
+    "Roney2019": "Roney et al. 2019",
+    "Bols2013": "Bols et al. 2013",
+    "Vernon2010": "Vernon et al. 2010",
+    "ForemanMackey2013": "Foreman-Mackey et al. 2013",
+    "lacli": "lacli",
+}
+
+
+def bibtex(keys: Iterable[str], version: str) -> str:
+    """The entries of these keys and of lacli itself, in this order."""
+    own = f"@software{{lacli,\n  author = {{{{The lacli developers}}}},\n  title = {{lacli}},\n  version = {{{version}}}\n}}"
+    return "\n\n".join([*(_article(key, *_ENTRIES[key]) for key in keys), own]) + "\n"

@@ -1,0 +1,163 @@
+"""The page of one simulation, from its folder."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lacli.base.documents import read_json
+from lacli.base.errors import InputError
+from lacli.contracts.features import KEYS, PUBLISHED
+from lacli.contracts.labels import BODY_REGIONS
+from lacli.contracts.scene import Scene, load_scene
+from lacli.report.page import methods
+from lacli.report.page.document import Figure, Page, Section, Table, number, picture
+from lacli.report.page.references import bibtex
+from lacli.report.page.shape import OtherAnatomyError, atrium
+
+if TYPE_CHECKING:
+    from lacli.base.arrays import FloatArray
+
+Thickness = tuple["FloatArray", "FloatArray"]
+_COSTS = {
+    "wall_s": "wall time, s", "cpu_s": "CPU time, s", "peak_memory_mb": "peak memory, MB", "newton_iterations": "Newton steps",
+}  # fmt: skip
+_ERRORS = {
+    "ed_volume_error": "ED volume against the image, share",
+    "ed_shape_error_mean_mm": "ED shape against the image, mean, mm",
+    "ed_shape_error_p95_mm": "ED shape against the image, 95th percentile, mm",
+    "ed_unstable_modes": "unstable modes at ED",
+    "es_unstable_modes": "unstable modes at ES",
+    "min_jacobian": "smallest volume ratio",
+}
+
+
+@dataclass(frozen=True)
+class Run:
+    """A finished run's folder as it was read."""
+
+    folder: Path
+    scene: Scene
+    features: Mapping[str, Any]
+    manifest: Mapping[str, Any]
+
+
+def read_run(folder: Path) -> Run:
+    """The run. Raises InputError where the folder is none, or its run did not finish."""
+    if not (folder / "manifest.json").is_file():
+        raise InputError(f"{folder}: no run: there is no manifest.json. Give the folder of one run, RUNS/<key>.")
+    manifest = read_json(folder / "manifest.json")
+    if not isinstance(manifest, dict) or manifest.get("status") != "done":
+        why = manifest.get("message") or manifest.get("kind") if isinstance(manifest, dict) else "its manifest is damaged"
+        raise InputError(f"{folder}: this run has no result ({why}).")
+    features = read_json(folder / "features.json")
+    if not isinstance(features, dict):
+        raise InputError(f"{folder / 'features.json'}: not a table of features.")
+    return Run(folder, load_scene(folder / "scene.toml"), features, manifest)
+
+
+def run_page(folder: Path, pictures: Path, thickness: Thickness | None, note: str = "") -> Page:
+    """The page. pictures: a folder where PDF and SVG of the figures are put too. thickness: of the end-diastolic endocardium
+    (points, mm); ``note`` says why there is none. Raises InputError."""
+    run = read_run(folder)
+    text, keys = methods.of_run(run.scene, run.manifest.get("versions") or {})
+    sections = [
+        shape_section(run, thickness, note, {}),
+        transients_section(run, pictures),
+        Section("features", "Features at end-systole", tables=(_features(run),)),
+        Section(
+            "errors", "Errors and costs", warnings=_doubts(run), tables=(_rows("Errors", _ERRORS, run.features), _costs(run))
+        ),
+        closing(text, keys, run.manifest),
+    ]
+    lead = f"Run {run.manifest.get('key', folder.name)}, finished {run.manifest.get('finished', '')}."
+    return Page("Simulation of a left atrium", lead, tuple(sections))
+
+
+def shape_section(
+    run: Run, thickness: Thickness | None, note: str, more: Mapping[str, tuple[str, Mapping[str, float]]]
+) -> Section:
+    """The anatomy in 3D: region, displacement, thickness, stiffness, and further values by region (title -> unit, values)."""
+    materials = run.scene.materials
+    regional: dict[str, tuple[str, Mapping[str, float]]] = {}
+    laws: dict[str, tuple[str, Any]] = {"stiffness C of this run": ("kPa", materials.c_kpa)}
+    if materials.law == "guccione":
+        laws["stiffness alpha of this run"] = ("", materials.alpha)
+    for title, (unit, values) in laws.items():
+        regional[title] = (unit, {name: float(getattr(values, name)) for name in BODY_REGIONS})
+    es = run.folder / "fields" / "es.vtu"
+    if not es.is_file():
+        return Section("anatomy", "Anatomy", ("This run kept no fields (outputs.fields = none): no 3D.",))
+    said = (note,) if note else ()
+    try:
+        view = atrium(es, thickness, {**regional, **more})
+    except OtherAnatomyError as error:
+        said = (str(error),)
+        view = atrium(es, None, {**regional, **more})
+    if view is None:
+        return Section("anatomy", "Anatomy", (*said, "The surface has more than 300,000 triangles: not drawn here."))
+    return Section("anatomy", "Anatomy", said, atrium=view)
+
+
+def transients_section(run: Run, pictures: Path) -> Section:
+    """Pressure, volume and displacements against time."""
+    table = run.folder / "transients.csv"
+    if not table.is_file():
+        return Section("transients", "Transients", ("This run has no transients.csv.",))
+    from lacli.report.simulation_figures import transient_figure
+
+    for suffix in ("png", "pdf", "svg"):
+        transient_figure(table, pictures / f"transients.{suffix}")
+    caption = "Pressure, volume and mean displacement of the regions from end-diastole (ED); the dashed line is end-systole (ES)."
+    return Section("transients", "Transients", figures=(picture(pictures / "transients.png", caption),))
+
+
+def closing(text: str, keys: list[str], manifest: Mapping[str, Any]) -> Section:
+    """Provenance, methods with citations, BibTeX."""
+    versions = manifest.get("versions") or {}
+    rows = [(name, str(value)) for name, value in versions.items()]
+    rows += [(name, str(manifest[name])) for name in ("key", "started", "finished", "engine") if manifest.get(name)]
+    machine = manifest.get("machine") or {}
+    rows += [(name, str(value)) for name, value in machine.items()]
+    cited = bibtex(keys, str(versions.get("lacli", "")))
+    table = Table("Provenance", ("what", "value"), tuple(rows))
+    return Section("methods", "Methods and provenance", text=(text,), tables=(table,), verbatim=(cited,))
+
+
+def kept_pictures(folder: Path, named: Mapping[str, str]) -> tuple[Figure, ...]:
+    """The pictures that are in the folder, of file name -> caption."""
+    return tuple(picture(folder / name, caption) for name, caption in named.items() if (folder / name).is_file())
+
+
+def _features(run: Run) -> Table:
+    errors = run.features.get("discretisation_error") or {}
+    rows = [
+        (KEYS[key].definition, number(run.features.get(key)), number(errors.get(key)), KEYS[key].unit)
+        for key in ("edv_ml", *PUBLISHED)
+        if key in run.features
+    ]
+    return Table("Features", ("feature", "value", "discretisation error", "unit"), tuple(rows))
+
+
+def _rows(title: str, named: Mapping[str, str], values: Mapping[str, Any]) -> Table:
+    return Table(
+        title, ("what", "value"), tuple((words, number(values.get(key))) for key, words in named.items() if key in values)
+    )
+
+
+def _costs(run: Run) -> Table:
+    return _rows("Costs", _COSTS, {**run.features, **run.manifest})
+
+
+def _doubts(run: Run) -> tuple[str, ...]:
+    said = []
+    if not run.features.get("discretisation_error"):
+        said.append("No discretisation error is known: `lacli tradeoff` measures it.")
+    for key, name in (("ed_unstable_modes", "end-diastole"), ("es_unstable_modes", "end-systole")):
+        modes = run.features.get(key)
+        if isinstance(modes, (int, float)) and math.isfinite(modes) and modes > 0:
+            said.append(f"The equilibrium at {name} is not stable: {modes:g} ways out of it.")
+    return tuple(said)
