@@ -175,8 +175,12 @@ if __name__ == "__main__":
     with np.load(sys.argv[1], allow_pickle=False) as kept:
         wall = Surface(kept["points"], kept["triangles"], np.zeros(len(kept["triangles"]), dtype=np.int64))
         rows_ = json.loads(str(kept["readings"]))
-    marks_ = [
-        (title, Landmarks({o[0]: Opening(o[0], *(np.array(v) for v in o[1:4]), float(o[4]), 1.0, "") for o in listed}))
-        for title, listed in rows_
-    ]
+    marks_ = []
+    for title_, listed_ in rows_:
+        openings_ = {}
+        for name_, centre_, normal_, beyond_, width_ in listed_:
+            openings_[name_] = Opening(
+                name_, np.array(centre_), np.array(normal_), np.array(beyond_), float(width_), 1.0, "given"
+            )
+        marks_.append((str(title_), Landmarks(openings_)))
     readings_picture(wall, marks_, Path(sys.argv[2]))

@@ -63,7 +63,8 @@ def read(text: str) -> Meaning:
         elif len(values) > 1 or getattr(meaning, name) is not None:
             raise UsageError(f"--labels: {name} is one label.")
         else:
-            meaning = replace(meaning, **{name: values[0]})
+            numbers = {"la": meaning.la, "lv": meaning.lv, "wall": meaning.wall, name: values[0]}
+            meaning = Meaning(numbers["la"], numbers["lv"], numbers["wall"], meaning.vessels)
     return meaning
 
 
