@@ -1,6 +1,6 @@
 """What `lacli stats` answers over simulated cohorts whose truth is known: size, slope, coverage; plain and carried.
 
-    python benchmarks/cohort_statistics.py [--cohorts 200] [--sd 0.8] [--seed 0]
+    python benchmarks/cohort_statistics.py [--cohorts 200] [--sd 0.8] [--seed 0] [--only structural]
 
 Ten patients, five regions. The true stiffness x has regional means, a patient's part (sd .6) and a region's in the
 patient (sd .8); y = region + beta x + patient (.7) + rest (.7). Only x + noise of the posterior's sd is seen. As predictor:
@@ -86,6 +86,7 @@ def main() -> int:
     parser.add_argument("--cohorts", type=int, default=200)
     parser.add_argument("--sd", type=float, default=0.8)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", default="", help="methods whose name holds this")
     options = parser.parse_args()
     print(
         f"{options.cohorts} cohorts, posterior sd {options.sd:g};"
@@ -96,6 +97,8 @@ def main() -> int:
     )
     met = True
     for name, method in methods(options.sd).items():
+        if options.only not in name:
+            continue
         with one_thread():
             of = {
                 b: np.array([method(np.random.default_rng([options.seed, k, int(10 * b)]), b) for k in range(options.cohorts)])
