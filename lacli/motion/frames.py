@@ -172,6 +172,7 @@ def read(source: Source) -> Image:
 
 
 def _read_one_of(source: Source) -> Image:
+
     reader = opened(source.path)
     try:
         reader.ReadImageInformation()
