@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from lacli.api.inference import Emulation, Matching, NothingLeft, Sensitivity, emulate, match, sensitivity
     from lacli.api.mechanics import read_deck, rerun, simulate, write_deck
     from lacli.api.progress import Progress
-    from lacli.api.study import Report, stats, write_report
+    from lacli.api.study import Report, compare, stats, write_report
     from lacli.base.errors import Cancelled, LacliError
     from lacli.contracts.scene import Scene, load_scene
     from lacli.contracts.tables.table import RunTable, read_runs
@@ -42,6 +42,7 @@ __all__ = [
     "Sensitivity",
     "Targets",
     "__version__",
+    "compare",
     "emulate",
     "load_emulators",
     "load_scene",
@@ -66,7 +67,7 @@ _HOMES = {
     "lacli.api.inference": ("Emulation", "Matching", "NothingLeft", "Sensitivity", "emulate", "match", "sensitivity"),
     "lacli.api.mechanics": ("read_deck", "rerun", "simulate", "write_deck"),
     "lacli.api.progress": ("Progress",),
-    "lacli.api.study": ("Report", "stats", "write_report"),
+    "lacli.api.study": ("Report", "compare", "stats", "write_report"),
     "lacli.base.errors": ("Cancelled", "LacliError"),
     "lacli.contracts.scene": ("Scene", "load_scene"),
     "lacli.contracts.tables.table": ("RunTable", "read_runs"),

@@ -1,8 +1,8 @@
-"""A study in one call each: statistics over many patients, a page on a run or a patient."""
+"""A study in one call each: statistics over many patients, models compared, a page on a run or a patient."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING
 from lacli.base.errors import LacliError, UsageError
 
 if TYPE_CHECKING:
+    from lacli.api.progress import Cancel, OnProgress
     from lacli.base.arrays import FloatArray
+    from lacli.cohort.comparison import Comparison
     from lacli.cohort.statistics import Statistics
 
 
@@ -22,6 +24,52 @@ class Report:
     page: Path
     size: int
     figures: Path
+
+
+def compare(
+    patient: Path,
+    targets: Path,
+    *,
+    tied: Sequence[Sequence[str]] = (),
+    others: Mapping[str, Path] | None = None,
+    particles: int = 600,
+    seed: int = 0,
+    progress: OnProgress | None = None,
+    cancel: Cancel | None = None,
+) -> Comparison:
+    """Models of one calibrated patient: each region its own stiffness, one for all, and ``tied``: groups of inputs that are one.
+
+    patient: the folder of a calibration, targets: what it was made to. others: name -> the calibration to the same targets on
+    another anatomy, such as one of uniform thickness. Emulators stand for runs: nothing is simulated. particles: of the
+    sampler, at least 100. Raises InputError, UsageError, Cancelled.
+    """
+    from lacli.api.progress import Stage
+    from lacli.base.threads import one_thread
+    from lacli.cohort import comparison
+    from lacli.cohort.patient import read_model
+    from lacli.contracts.targets import read_targets
+
+    if particles < 100:
+        raise UsageError(f"compare: {particles} particles; at least 100.")
+    wanted = read_targets(targets)
+    regional = read_model(patient, wanted)
+    models = [
+        regional,
+        comparison.Model(comparison.GLOBAL, regional.emulators, regional.box, comparison.tied_regions(regional.box.names)),
+    ]
+    if tied:
+        models.append(comparison.Model("tied", regional.emulators, regional.box, tuple(map(tuple, tied))))
+    for name, folder in (others or {}).items():
+        if name in [m.name for m in models]:
+            raise UsageError(f"compare: two models are named {name}.")
+        models.append(read_model(folder, wanted, name))
+    for model in models:
+        comparison.reduced(model)
+        if set(model.emulators.outputs) != set(regional.emulators.outputs):
+            raise UsageError(f"compare: {model.name} was calibrated to other features than {patient}.")
+    with one_thread():
+        stage = Stage("comparison", 4 * len(models), progress, cancel).begin()
+        return comparison.compare(models, wanted, particles, seed, stage.step)
 
 
 def stats(

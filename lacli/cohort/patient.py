@@ -1,0 +1,59 @@
+"""One patient's calibration as a study reads it, from the folder that `lacli calibrate` left."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lacli.base.documents import read_json
+from lacli.base.errors import InputError, UsageError
+from lacli.cohort.comparison import REGIONAL, Model
+from lacli.contracts.targets import Targets
+from lacli.inference.box import make_box
+from lacli.inference.emulation.emulator_set import load_emulators
+
+RESULT, IDENTITY = "result.json", "calibration.json"
+
+
+def read_result(folder: Path) -> Mapping[str, Any]:
+    """The calibration's result. Raises InputError where there is none."""
+    result = read_json(folder / RESULT, missing="no such file; is this the folder of a finished calibration?")
+    if not isinstance(result, dict) or not result.get("waves") or not isinstance(result.get("fit"), list):
+        raise InputError(f"{folder / RESULT}: not a calibration's result.")
+    return result
+
+
+def read_model(folder: Path, targets: Targets, name: str = REGIONAL) -> Model:
+    """The last wave's emulators and the box of a calibration to these targets.
+
+    Raises InputError where the folder holds no finished calibration, UsageError where it was made to other targets.
+    """
+    result = read_result(folder)
+    for row in result["fit"]:
+        feature = str(row["feature"])
+        if feature not in targets.names:
+            raise UsageError(f"{folder}: was calibrated to {feature}, which the targets given lack; give those it was made to.")
+        j = targets.names.index(feature)
+        if not np.allclose([row["target"], row["sd"]], [targets.mean[j], targets.sd[j]], rtol=1e-9, atol=0):
+            raise UsageError(
+                f"{folder}: was calibrated to {feature} {row['target']:g} ± {row['sd']:g}, the targets given say"
+                f" {targets.mean[j]:g} ± {targets.sd[j]:g}; give those it was made to."
+            )
+    emulators = load_emulators(folder / f"wave_{len(result['waves'])}" / "emulators.npz")
+    features = [str(row["feature"]) for row in result["fit"]]
+    missing = [feature for feature in features if feature not in emulators.outputs]
+    if missing:
+        raise InputError(f"{folder}: its emulators have no {', '.join(missing)}; calibrate again.")
+    document = read_json(folder / IDENTITY)
+    content = document.get("content", {}) if isinstance(document, dict) else {}
+    try:
+        names = list(content["box.names"])
+        low, high = ([float(content[f"box.{end}.{name}"]) for name in names] for end in ("lower", "upper"))
+    except (KeyError, TypeError, ValueError):
+        raise InputError(f"{folder / IDENTITY}: does not say the box; calibrate again.") from None
+    if tuple(names) != emulators.inputs:
+        raise InputError(f"{folder}: the emulators' inputs are not the box's; calibrate again.")
+    return Model(name, emulators.select(features), make_box(names, low, high))

@@ -1,0 +1,110 @@
+"""Model comparison: against evidences known in closed form, and arms whose truth is known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal, norm
+
+from lacli.base.errors import UsageError
+from lacli.cohort.comparison import GLOBAL, REGIONAL, Model, compare, pointwise_log_likelihood, reduced, tied_regions
+from lacli.cohort.evidence import evidence
+from lacli.contracts.labels import BODY_REGIONS
+from lacli.contracts.tables.table import RunTable
+from lacli.contracts.targets import Targets
+from lacli.inference.box import Box, make_box
+from lacli.inference.emulation.emulator import fit_emulators
+from lacli.inference.emulation.emulator_set import EmulatorSet
+
+NAMES = tuple(f"alpha_{name}" for name in BODY_REGIONS)
+OUTPUTS = tuple(f"d_{name}_mm" for name in BODY_REGIONS)
+GAIN = 2.0
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    """Displacements that fall with each region's stiffness, 2 mm a unit, emulated from 60 runs."""
+    box = make_box(NAMES, [0.5] * 5, [4.0] * 5)
+    x = box.uniform(60, np.random.default_rng(0))
+    y = 10 - GAIN * x
+    none = np.zeros((60, 5))
+    table = RunTable(NAMES, OUTPUTS, x, y, none, np.empty((0, 5)))
+    return Model(REGIONAL, EmulatorSet(NAMES, tuple(fit_emulators(table, starts=1, may_log=np.zeros(5, bool)))), box)
+
+
+def _targets(alpha: np.ndarray, sd: float, seed: int = 1) -> Targets:
+    noise = np.random.default_rng(seed).normal(0, sd, 5)
+    return Targets(OUTPUTS, 10 - GAIN * alpha + noise, np.full(5, sd))
+
+
+def test_the_evidence_of_a_gaussian_in_a_box() -> None:
+    # prior uniform on [-5, 5]^3: Z = the Gaussian's mass inside (all) / 10^3
+    box = Box(("a", "b", "c"), np.full(3, -5.0), np.full(3, 5.0))
+    found = evidence(lambda x: multivariate_normal.logpdf(x, [1, 0, -1], np.diag([0.04, 0.01, 0.09])), box, 400)
+    assert found.log_z == pytest.approx(-3 * math.log(10), abs=max(4 * found.se, 0.1))
+    assert 0 < found.se < 0.2
+    assert found.draws.mean(axis=0) == pytest.approx([1, 0, -1], abs=0.05)
+    assert found.draws.std(axis=0) == pytest.approx([0.2, 0.1, 0.3], rel=0.15)
+
+
+def test_the_evidence_where_half_of_the_mass_is_outside() -> None:
+    box = Box(("a",), np.array([0.0]), np.array([2.0]))
+    found = evidence(lambda x: norm.logpdf(x[:, 0], 0.0, 0.1), box, 400)
+    assert found.log_z == pytest.approx(math.log(0.5 / 2), abs=max(4 * found.se, 0.1))
+
+
+def test_regional_stiffness_is_found_where_there_is_contrast(model: Model) -> None:
+    truth = np.array([0.8, 1.5, 2.2, 3.0, 1.2])
+    found = compare([model, Model(GLOBAL, model.emulators, model.box, tied_regions(NAMES))], _targets(truth, 0.2), particles=300)
+    regional, one = found.fits
+    assert (regional.free, one.free) == (5, 1)
+    assert found.contrasts[0].verdict == "regional is strongly preferred"
+    # exact: each region's likelihood, a Gaussian of sd .2 mm / 2 mm a unit in alpha, over a prior of width 3.5 (and 2 mm a unit)
+    assert regional.log_evidence == pytest.approx(5 * math.log(1 / (GAIN * 3.5)), abs=0.4)
+    assert regional.rmse_mean_mm == pytest.approx(0.2, abs=0.08)
+    # the best single alpha is the mean, 1.74: rms deviation .766 alpha, 1.53 mm
+    assert one.rmse_mm == pytest.approx(1.53, abs=0.2)
+    assert regional.elpd > one.elpd + 2 * one.elpd_se
+
+
+def test_no_contrast_is_claimed_where_there_is_none(model: Model) -> None:
+    found = compare(
+        [model, Model(GLOBAL, model.emulators, model.box, tied_regions(NAMES))], _targets(np.full(5, 2.0), 0.5), particles=300
+    )
+    assert "regional" not in found.contrasts[0].verdict
+    assert found.contrasts[0].difference < 0
+    assert found.fits[1].p_loo < found.fits[0].p_loo + 0.5
+
+
+def test_some_inputs_are_tied(model: Model) -> None:
+    box, lift = reduced(Model("front", model.emulators, model.box, (("alpha_anterior", "alpha_roof"),)))
+    assert box.names == ("alpha_anterior", "alpha_posterior", "alpha_septum", "alpha_lateral")
+    assert lift(np.array([[1.0, 2.0, 3.0, 4.0]])).tolist() == [[1.0, 2.0, 3.0, 4.0, 1.0]]
+    with pytest.raises(UsageError, match="alpha_ruf is no input"):
+        reduced(Model("x", model.emulators, model.box, (("alpha_anterior", "alpha_ruf"),)))
+    with pytest.raises(UsageError, match="tied twice"):
+        reduced(Model("x", model.emulators, model.box, (NAMES[:2], NAMES[1:3])))
+    apart = make_box(NAMES, [0.5, 3.0, 0.5, 0.5, 0.5], [2.0, 4.0, 4.0, 4.0, 4.0])
+    with pytest.raises(UsageError, match="nothing in common"):
+        reduced(Model("x", model.emulators, apart, (NAMES[:2],)))
+    with pytest.raises(UsageError, match="no global model"):
+        tied_regions(["alpha_roof", "esp_mmhg"])
+
+
+def test_pointwise_densities_with_and_without_correlation() -> None:
+    rng = np.random.default_rng(0)
+    a = rng.normal(size=(3, 3))
+    covariance = a @ a.T + np.eye(3)
+    target, mean, variance = rng.normal(size=3), rng.normal(size=(2, 3)), np.full((2, 3), 0.1)
+    targets = Targets(("a", "b", "c"), target, np.sqrt(np.diag(covariance)), covariance)
+    found = pointwise_log_likelihood(mean, variance, targets)
+    s = covariance + 0.1 * np.eye(3)
+    # p(y_0 | y_1, y_2) = p(y) / p(y_1, y_2)
+    joint = multivariate_normal.logpdf(target, mean[0], s) - multivariate_normal.logpdf(target[1:], mean[0, 1:], s[1:, 1:])
+    assert found[0, 0] == pytest.approx(joint)
+    diagonal = Targets(("a", "b", "c"), target, np.ones(3), np.eye(3))
+    assert pointwise_log_likelihood(mean, variance, diagonal) == pytest.approx(
+        pointwise_log_likelihood(mean, variance, Targets(("a", "b", "c"), target, np.ones(3)))
+    )
