@@ -26,8 +26,8 @@ from lacli.calibration import calibration
 from lacli.calibration.simulator import SceneSimulator
 from lacli.contracts import identity
 from lacli.contracts.identity import METHODS, Identity, conflict, differences, identify, parse_identity, run_key, settle
-from lacli.contracts.scene import Scene, build_scene
 from lacli.contracts.priors import Prior
+from lacli.contracts.scene import Scene, build_scene
 from lacli.contracts.tables.table import RunTable
 from lacli.contracts.targets import Targets
 from lacli.inference.box import make_box
@@ -402,10 +402,38 @@ def test_a_manifest_of_sizes_alone_is_read_as_before(scene_of: SceneOf, tmp_path
     stored(scene, root)
     file = root / run_key(scene) / "manifest.json"
     manifest = json.loads(file.read_text())
-    assert set(manifest.pop("sha256")) == set(PRODUCTS)
+    assert set(manifest.pop("sha256")) == set(PRODUCTS) and manifest.pop("digest")
     write_json(file, manifest)
     run = find_run(root, run_key(scene))
     assert run is not None
     check_products(run, PRODUCTS)
     (run.folder / "features.json").write_text("{}")
     assert find_run(root, run.key) is None
+
+
+@pytest.mark.parametrize("name", ["status", "kind", "message", "started", "wall_s", "products", "sha256", "versions", "machine"])
+def test_a_manifest_that_was_edited_is_no_result(scene_of: SceneOf, tmp_path: Path, name: str) -> None:
+    scene, root = scene_of(), tmp_path / "runs"
+    stored(scene, root)
+    file = root / run_key(scene) / "manifest.json"
+    manifest = json.loads(file.read_text())
+    old = manifest[name]
+    manifest[name] = {**old, "x": 1} if isinstance(old, dict) else f"{old} and more"
+    write_json(file, manifest)
+    assert find_run(root, run_key(scene)) is None
+
+
+def test_a_run_of_another_freefem_is_made_again_and_says_so(
+    scene_of: SceneOf, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    scene, root = scene_of(), tmp_path / "runs"
+    with open_run(root, run_key(scene), solver="4.9") as run:
+        (run.folder / "features.json").write_text("{}")
+        run.finish("done", products=["features.json"], versions={"freefem": "4.9"})
+    for same in ("4.9", None):  # None: no FreeFEM here, what is stored can be looked at all the same
+        with open_run(root, run_key(scene), solver=same) as run:
+            assert run.stored is not None
+    assert not caplog.text
+    with open_run(root, run_key(scene), solver="4.15") as run:
+        assert run.stored is None
+    assert "it was made with FreeFEM 4.9, this is 4.15; the run is made again" in caplog.text

@@ -28,7 +28,9 @@ LEAST_OVERLAP = 0.7  # share of the rough label's inside that must be as bright 
 
 @dataclass(frozen=True)
 class Options:
-    """la, muscle, lv: labels of the rough map (blood of the atrium, myocardium to sample, blood of the ventricle); blood_box,
+    """Choices of a segmentation.
+
+    la, muscle, lv: labels of the rough map (blood of the atrium, myocardium to sample, blood of the ventricle); blood_box,
     muscle_box (3, 2) mm: sampled in place of labels; crop: where the valve is; voxel_mm: of the map that is made; wall, fat:
     their labels there, None: the first that are free."""
 
@@ -45,7 +47,9 @@ class Options:
 
 @dataclass(frozen=True)
 class Segmented:
-    """labels: the map; numbers: what its labels are; thickness: whole wall, then regions; wall: measured point by point; blood,
+    """A segmented CT.
+
+    labels: the map; numbers: what its labels are; thickness: whole wall, then regions; wall: measured point by point; blood,
     muscle: HU as sampled; notes in words."""
 
     labels: Image
