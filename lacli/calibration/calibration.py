@@ -199,7 +199,7 @@ def calibrate(
     density = Density(emulators, region.waves[-1].targets, region if settings.prior == "nroy" else Region(box))
     chain = _sample(density, settings, samples[-1], folder / "chain.npz", monitor, number, tuple(reports))
     map_x, _ = mcmc.maximum(density, chain)
-    table = mcmc.summary(chain, map_x, density)
+    table = mcmc.summary(chain, map_x, density.region.box, density.targets.priors)
     verdict = judge(emulators, density.targets, box, map_x, region.waves[-1].threshold, chain.flat())
     draws = np.empty((0, len(targets.names)))
     fit, rmse = _fit(emulators, targets, map_x, None), None

@@ -36,7 +36,7 @@ def test_sampled_it_is_the_product_and_what_stayed_at_the_prior_is_told(density:
     chain = mcmc.sample_posterior(density, mcmc.Settings(ensembles=2, walkers=8, max_steps=400, seed=1))
     best, _ = mcmc.maximum(density, chain)
     assert best == pytest.approx([1.5, 3.0], abs=0.02)
-    a, b = mcmc.summary(chain, best, density)
+    a, b = mcmc.summary(chain, best, density.region.box, density.targets.priors)
     assert (a["mean"], a["sd"]) == pytest.approx((1.5, 0.354), abs=0.06)
     assert (b["mean"], b["sd"]) == pytest.approx((3.0, 0.4), abs=0.06)
     assert (a["prior_sd"], b["prior_sd"]) == pytest.approx((0.5, 0.4), rel=1e-3)

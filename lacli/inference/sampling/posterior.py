@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -17,7 +17,8 @@ from lacli.base.errors import InputError, LacliError, UsageError
 from lacli.base.schema import Array, array_file, unfit, write_arrays
 from lacli.base.threads import single_threaded
 from lacli.contracts.identity import Identity, conflict, identify, parse_identity
-from lacli.contracts.priors import prior_sd
+from lacli.contracts.priors import Prior, prior_sd
+from lacli.inference.box import Box
 from lacli.inference.sampling.likelihood import Density
 from lacli.inference.sampling.mixture import fit_mixture
 from lacli.inference.sampling.moves import EnsemblesMove
@@ -290,12 +291,11 @@ def maximum(density: Density, chain: Chain, tries: int = 5) -> tuple[FloatArray,
     return np.clip(best_x, box.lower, box.upper), best
 
 
-def summary(chain: Chain, most_probable: FloatArray, density: Density) -> list[dict[str, float | str]]:
+def summary(chain: Chain, most_probable: FloatArray, box: Box, priors: Sequence[Prior] | None) -> list[dict[str, float | str]]:
     """For each input: mean, sd, median, central 95 % interval, the most probable value, R-hat, ESS; prior_sd, and contraction
     1 - sd / prior_sd: near 0 where the targets told nothing."""
     flat = chain.flat()
-    box = density.region.box
-    before = prior_sd(density.targets.priors, box.names, box.lower, box.upper)
+    before = prior_sd(priors, box.names, box.lower, box.upper)
     low, median, high = np.quantile(flat, [0.025, 0.5, 0.975], axis=0)
     return [
         {
