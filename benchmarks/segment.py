@@ -31,7 +31,7 @@ def case(seed: int, voxel: float, wall: tuple[float, float]) -> dict[str, float 
     """Write, segment and compare one atrium."""
     made = walled(seed, wall, (voxel,) * 3)
     start = time.process_time()
-    found = road.segment(made.ct, made.rough, road.SegmentationOptions(LA, muscle=MUSCLE, lv=LV))
+    found = road.segment(made.ct, made.rough, road.Options(LA, muscle=MUSCLE, lv=LV))
     cpu = time.process_time() - start
     away, nearest = cKDTree(made.points).query(found.wall.surface.points)
     truth = made.thickness[nearest]

@@ -1,4 +1,4 @@
-"""Pages that are made from the code: scene, commands, features, picture of the rooms.
+"""Pages that are made from the code: scene, commands, features, tables of files, picture of the rooms.
 
 ``python docs/generate.py`` writes them, ``--check`` says which are not current (exit code 1).
 """
@@ -156,6 +156,22 @@ def features_page() -> str:
     return text + table(["key", "unit", "definition"], [[code(f.key), f.unit or "-", plain(f.definition)] for f in FEATURES])
 
 
+def files_page() -> str:
+    """The page of files, whose tables between marks are made from the records of what files hold."""
+    from lacli.contracts import records
+
+    text = (HERE / "files.md").read_text(encoding="utf-8")
+    made = {"manifest": records.MANIFEST, "run": records.RUN, "table": records.TABLE, "targets": records.TARGET}
+    for name, fields in made.items():
+        rows = [[code(f.key), f.unit or "-", plain(f.text) + ("" if f.always else " (not always there)")] for f in fields]
+        head, begin, rest = text.partition(f"<!-- made: {name} -->\n")
+        old, end, tail = rest.partition("<!-- end -->\n")
+        if not begin or not end or "<!-- made" in old:
+            raise ValueError(f"files.md has no place for the table of {name}")
+        text = head + begin + "\n" + table(["key", "unit", "what"], rows) + end + tail
+    return text
+
+
 def rooms() -> list[list[str]]:
     """The rooms from top to bottom, those on one floor together, as the contract in pyproject.toml has them."""
     document = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -228,7 +244,13 @@ def rooms_picture() -> str:
     return "\n".join([head, *lines, *boxes, "</svg>"]) + "\n"
 
 
-PAGES = {"scene.md": scene_page, "commands.md": commands_page, "features.md": features_page, "rooms.svg": rooms_picture}
+PAGES = {
+    "scene.md": scene_page,
+    "commands.md": commands_page,
+    "features.md": features_page,
+    "files.md": files_page,
+    "rooms.svg": rooms_picture,
+}
 
 
 def main(arguments: list[str]) -> int:

@@ -1,16 +1,18 @@
-"""Anatomy in one call each: a bundle from an image or a surface."""
+"""Anatomy in one call each: a parametric atrium, a bundle from an image or a surface, epicardial fat."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lacli.api.progress import Cancel, OnProgress, Stage
+from lacli.api.progress import Cancel, OnProgress, Stage, check
+from lacli.base.errors import UsageError
 
 if TYPE_CHECKING:
+    from lacli.anatomy.wall.fat import Fat
     from lacli.contracts.bundle import Bundle
 
 
@@ -83,3 +85,146 @@ def mesh(
         bundle, report = meshing.save(source, folder, built, options, also, start, str(own or fibres))
     drawn, trouble = meshing.draw(folder) if figures else ([], "")
     return Meshing(folder, bundle, report, tuple(drawn), (trouble,) if trouble else ())
+
+
+@dataclass(frozen=True)
+class Synthesis:
+    """A synthetic atrium or patient: its folder, and what is in it (numbers with their units in their names)."""
+
+    folder: Path
+    report: dict[str, Any]
+
+
+def synthesize(
+    folder: Path,
+    *,
+    seed: int = 1,
+    volume_ml: float | None = None,
+    thickness_mm: float = 2.0,
+    cell_size_mm: float = 4.0,
+    order: int = 2,
+    frames: int = 10,
+    descent_mm: float = 8.0,
+    cohort: int = 0,
+    image: bool = False,
+    voxel_mm: float = 0.6,
+    gated: bool = False,
+    noise_hu: float = 25.0,
+    blur: float = 0.6,
+    motion_blur: float = 0.0,
+    contrast_drift_hu: float = 0.0,
+    heart_rate: float = 65.0,
+    parameters: Mapping[str, float] | None = None,
+    progress: OnProgress | None = None,
+    cancel: Cancel | None = None,
+) -> tuple[Synthesis, ...]:
+    """Parametric left atria from their seeds: one in ``folder``, or a ``cohort`` of folders there, seeds following on.
+
+    Points (n, 3) are in LPS mm. volume_ml: of the cavity (None: the seed's own, 47 to 135 mL); frames: of the annulus' motion
+    over the cycle, descent_mm: how far it descends; image: also labels.nrrd and ct.nrrd of ``voxel_mm``. gated: a patient
+    instead, its bundle, a gated CT of a simulated cycle and its truth: noise_hu its noise (sd, HU), blur in voxels (sd),
+    motion_blur the exposure as a fraction of the RR interval, contrast_drift_hu the blood's fall over the cycle, heart_rate
+    in beats per minute, parameters known ones by name with unit. A folder that was made from the same is kept.
+    Raises UsageError, AnatomyError (a folder holds something else), StorageError, Cancelled.
+    """
+    from lacli.base.files import check_folder
+    from lacli.contracts.parameters import parameter_box
+    from lacli.synthetic.atrium_folder import write_atrium
+    from lacli.synthetic.gated import Acquisition
+    from lacli.synthetic.gated_case import write_patient
+
+    if cohort < 0 or seed < 0:
+        raise UsageError("--seed and --cohort must not be negative.")
+    if not 0.2 <= voxel_mm <= 3.0:
+        raise UsageError(f"--voxel-mm must lie between 0.2 and 3 mm, got {voxel_mm:g}.")
+    wanted = {"volume_ml": volume_ml, "thickness_mm": thickness_mm, "cell_size_mm": cell_size_mm, "order": order}
+    moved = {"frames": frames, "descent_mm": descent_mm}
+    acquisition = Acquisition(frames, (voxel_mm,) * 3, noise_hu, blur, motion_blur, contrast_drift_hu)
+    given = dict(parameters or {})
+    if gated:
+        acquisition.check()
+        if not 20.0 <= heart_rate <= 250.0:
+            raise UsageError(f"--heart-rate is {heart_rate:g}; it must be 20 to 250 beats per minute.")
+        for name, value in given.items():
+            parameter_box([name])
+            if not value >= 0:
+                raise UsageError(f"--parameter {name}={value:g}: write it as name=number, not negative.")
+    check_folder(folder)
+    places = [(seed + i, folder / f"la{seed + i:02d}" if cohort else folder) for i in range(max(cohort, 1))]
+    made = []
+    stage = Stage("synthesizing", len(places), progress, cancel).begin()
+    for number, place in places:
+        if gated:
+            atrium = {**wanted, "descent_mm": descent_mm}
+
+            def tell(what: str, done: int, total: int, name: str = place.name) -> None:
+                stage.of(f"{name}: {what}", done, total)
+
+            report = write_patient(place, number, atrium, given, acquisition, heart_rate, tell)
+        else:
+            report = write_atrium(number, place, {**wanted, **moved}, voxel_mm if image else None)
+            stage.step()
+        made.append(Synthesis(place, report))
+    return tuple(made)
+
+
+@dataclass(frozen=True)
+class FatSegmentation:
+    """Epicardial fat in each published window of HU (volumes in mL, whole and by region), and the folder of its files.
+
+    report: what fat.json holds; notes: what a user must know of the images.
+    """
+
+    folder: Path
+    windows: dict[str, Fat]
+    report: dict[str, Any]
+    notes: tuple[str, ...]
+
+
+def fat(
+    ct: Path,
+    folder: Path,
+    *,
+    bundle: Path | None = None,
+    labels: Path | None = None,
+    la: int | None = None,
+    reach_mm: float = 5.0,
+    progress: OnProgress | None = None,
+    cancel: Cancel | None = None,
+) -> FatSegmentation:
+    """The epicardial fat of a CT (HU) within ``reach_mm`` of the atrium's blood pool; its surface and voxels go to ``folder``.
+
+    Volumes are in mL, points (n, 3) in LPS mm. The blood pool is that of ``labels`` (its label ``la``; None: the only one),
+    else the cavity of the ``bundle``, whose regions are counted where it is given.
+    Raises UsageError, AnatomyError where there is no fat, StorageError, Cancelled (nothing is written then).
+    """
+    from lacli.anatomy.inputs import image as images
+    from lacli.anatomy.meshing import naming, storing
+    from lacli.anatomy.wall import fat as segmentation
+    from lacli.anatomy.wall import fat_files
+    from lacli.base.files import check_folder
+    from lacli.contracts.bundle import load
+
+    if bundle is None and labels is None:
+        raise UsageError(
+            "Give the blood pool: --anatomy BUNDLE, or --labels MAP with --la LABEL, or both (regions come from the bundle)."
+        )
+    if not 0.5 <= reach_mm <= 20.0:
+        raise UsageError(f"--within-mm is {reach_mm:g} mm; it must be 0.5 to 20 mm.")
+    check_folder(folder)
+    stage = Stage("reading", 2 + len(segmentation.WINDOWS), progress, cancel).begin()
+    volume = images.read(ct)
+    anatomy = None if bundle is None else load(bundle)
+    stage.next("blood pool")
+    pool, seen = fat_files.pool_of(labels, la, anatomy)
+    notes = [*(f"{ct}: {note}" for note in volume.doubts(pool.points.mean(axis=0))), *seen]
+    found = {}
+    for window in segmentation.WINDOWS:
+        stage.next(f"fat, {window} window")
+        with naming(ct):
+            found[window] = segmentation.segment(volume, pool, anatomy, window, reach_mm)
+    check(cancel, "the segmentation of fat")
+    stage.next("mesh")
+    with storing(folder):
+        report = fat_files.save(found, folder, ct, reach_mm, notes)
+    return FatSegmentation(folder, found, report, tuple(notes))

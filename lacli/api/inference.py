@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Emulation:
-    """AnyEmulators of a table's outputs, in its order, the scores of their cross-validation, and what they were made from."""
+    """Emulators of a table's outputs, in its order, the scores of their cross-validation, and what they were made from."""
 
     emulators: AnyEmulators
     scores: tuple[Scores, ...]
@@ -79,7 +79,7 @@ def emulate(
 ) -> Emulation:
     """One Gaussian-process emulator per output of the table, cross-validated over ``folds`` folds.
 
-    AnyEmulators take inputs and give outputs in the table's units. box: where they will be used (default: where the runs
+    Emulators take inputs and give outputs in the table's units. box: where they will be used (default: where the runs
     are); an input that reaches 0 there, or is named in ``linear``, is never taken as its logarithm. starts: starting
     points of each fit. gradients: learn from the table's derivatives too, where it has any (then without ``starts``).
     Raises UsageError, Cancelled.
@@ -108,6 +108,21 @@ def emulate(
         stage = Stage("emulators", len(table.outputs), progress, cancel).begin()
         emulators = EmulatorSet(table.inputs, tuple(fit_emulators(table, tick=stage.step, **options)))
     return Emulation(emulators, tuple(scores), emulators_identity(table, **options))
+
+
+def fit(
+    table: RunTable, *, box: Box | None = None, seed: int = 0, progress: OnProgress | None = None, cancel: Cancel | None = None
+) -> AnyEmulators:
+    """Emulators of the table's outputs without cross-validation; arguments and errors as ``emulate``."""
+    from lacli.inference.emulation.emulator import fit_emulators
+    from lacli.inference.emulation.emulator_set import EmulatorSet
+    from lacli.inference.emulation.gradient_gp import fit_gradient_emulators
+
+    may_log = logarithmic(table, box, ())
+    stage = Stage("emulators", len(table.outputs), progress, cancel).begin()
+    if table.gradients is not None:
+        return fit_gradient_emulators(table, tick=stage.step, may_log=may_log)
+    return EmulatorSet(table.inputs, tuple(fit_emulators(table, seed=seed, tick=stage.step, may_log=may_log)))
 
 
 def sensitivity(
@@ -187,7 +202,7 @@ def match(
 ) -> Matching:
     """What history matching leaves of the box: its share, ``count`` points sampled uniformly from it, ``following`` next runs.
 
-    AnyEmulators and targets are in the same units; targets of outputs without an emulator are left out. earlier: emulators of
+    Emulators and targets are in the same units; targets of outputs without an emulator are left out. earlier: emulators of
     the earlier waves, in order, of the same inputs and outputs; threshold, earlier_threshold: implausibilities (in standard
     deviations) from which a point is ruled out; runs (n, d): those done (default: the emulators').
     Raises NothingLeft, UsageError, LacliError where next to no run lies in the box, Cancelled.

@@ -1,19 +1,25 @@
-"""Mechanics in one call each: simulate a scene, write a deck to be run by hand and read it, run a stored run again."""
+"""Mechanics in one call each: simulate, decks run by hand, run again, verify, weigh speed against accuracy, look for FreeFEM."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lacli.api.progress import Cancel, OnProgress, Stage, check
+from lacli.base.errors import AnatomyError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from lacli.contracts.scene import Scene
     from lacli.freefem.run import Progress as SolverProgress
+    from lacli.mechanics.installation import Check as InstallationCheck
     from lacli.mechanics.simulation import RunResult
+    from lacli.mechanics.tradeoff import Variant
+    from lacli.verification.problems import Check as VerificationCheck
 
 
 def simulate(
@@ -65,6 +71,87 @@ def rerun(
 
     check(cancel, "simulation")
     return run_again(folder, on_progress=_listener(progress, cancel))
+
+
+def verify(
+    names: Sequence[str] = (), *, progress: OnProgress | None = None, cancel: Cancel | None = None
+) -> tuple[VerificationCheck, ...]:
+    """What the simulator computes beside what is known, of the named verification problems (default: all).
+
+    Errors are in mm for positions, relative without unit otherwise; a problem that does not end is a failed check.
+    Raises UsageError for an unknown name, SolverMissingError, Cancelled.
+    """
+    from lacli.verification.problems import choose
+    from lacli.verification.problems import verify as solve
+
+    chosen = choose(names)
+    stage = Stage("verify", len(chosen), progress, cancel)
+    checks: list[VerificationCheck] = []
+    for number, name in enumerate(chosen):
+        stage.name = f"verify {name}"
+        stage.reach(number)
+        checks += solve(name)
+    stage.reach(len(chosen))
+    return tuple(checks)
+
+
+@dataclass(frozen=True)
+class Tradeoff:
+    """Simulations of one scene with several numerics, the most careful of them, and what is recommended.
+
+    errors: by variant (its place in ``variants``), absolute differences from the reference in the features' units;
+    recommended: the cheapest numerics within the tolerance, None where there is none.
+    """
+
+    variants: tuple[Variant, ...]
+    reference: Variant
+    errors: tuple[dict[str, float], ...]
+    recommended: str | None
+
+
+def tradeoff(
+    scene: Scene,
+    *,
+    finer: Path | None = None,
+    tolerance_mm: float = 0.22,
+    store: Path = Path("runs"),
+    record: bool = True,
+    progress: OnProgress | None = None,
+    cancel: Cancel | None = None,
+) -> Tradeoff:
+    """Speed against accuracy of linear and quadratic cells and two quadratures, against the most careful of them.
+
+    Errors are in the features' units, costs in CPU seconds and MB. finer: a bundle of the same atrium with smaller cells,
+    the reference then; tolerance_mm: the largest error of a displacement; record: keep the errors in the scene's bundle, so
+    that later results carry them. Raises AnatomyError, InputError where no choice ends, SolverMissingError, StorageError,
+    Cancelled (simulations that ended are kept).
+    """
+    from lacli.mechanics import tradeoff as measure
+
+    if finer is not None and not (finer / "wall.vtu").is_file():
+        raise AnatomyError(f"{finer}: not an anatomy bundle. Mesh the same atrium with a smaller --cell-size-mm.")
+    heard = _listener(progress, cancel)
+    variants = tuple(measure.run_variants(scene, finer.resolve() if finer else None, store, on_progress=heard))
+    best = measure.reference(variants)
+    errors = tuple(measure.errors(v, best) if v.status == "done" else {} for v in variants)
+    own = [(v, error) for v, error in zip(variants, errors, strict=True) if v.mesh == "own"]
+    choice = measure.recommend(
+        {v.numerics: error for v, error in own if v.status == "done"}, {v.numerics: v.cpu_s for v, _ in own}, tolerance_mm
+    )
+    if record:
+        measure.keep(variants, best)
+    return Tradeoff(variants, best, errors, choice)
+
+
+def doctor(*, progress: OnProgress | None = None, cancel: Cancel | None = None) -> tuple[InstallationCheck, ...]:
+    """What simulations need of this machine (FreeFEM, plugins, BLAS, a compiler, gmsh): found or missing, and what installs it.
+
+    A check that is ``needed`` and not ``ok`` keeps simulations from running. It has no units. Raises Cancelled.
+    """
+    from lacli.mechanics.installation import inspect
+
+    Stage("looking around", 1, progress, cancel).begin()
+    return tuple(inspect())
 
 
 def _listener(progress: OnProgress | None, cancel: Cancel | None) -> Callable[[SolverProgress], None]:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from lacli.base.errors import Cancelled
 
 if TYPE_CHECKING:
+    from lacli.calibration.calibration import Status
     from lacli.freefem.run import Progress as SolverProgress
 
 
@@ -19,7 +20,7 @@ class Progress:
 
     stage: what is being done; done of total: its steps (of a simulation: the share of the load in this phase, of 1);
     left_s: seconds left of the stage by the pace so far, None where nothing is known of it; solver: of a simulation,
-    the solver's own words (phase, load, Newton step, residual, least Jacobian).
+    the solver's own words (phase, load, Newton step, residual, least Jacobian); calibration: of a calibration, its waves.
     """
 
     stage: str
@@ -27,6 +28,7 @@ class Progress:
     total: float
     left_s: float | None = None
     solver: SolverProgress | None = None
+    calibration: Status | None = None
 
 
 OnProgress = Callable[[Progress], None]
@@ -38,7 +40,7 @@ class Stage:
 
     def __init__(self, name: str, total: float, progress: OnProgress | None, cancel: Cancel | None) -> None:
         self.name, self.total, self._progress, self._cancel = name, total, progress, cancel
-        self._done = 0.0
+        self._done = self._first = 0.0
         self._begin = time.monotonic()
 
     def begin(self) -> Stage:
@@ -46,13 +48,14 @@ class Stage:
         self.reach(0.0)
         return self
 
-    def reach(self, done: float, solver: SolverProgress | None = None) -> None:
+    def reach(self, done: float, solver: SolverProgress | None = None, calibration: Status | None = None) -> None:
         """``done`` of the total is reached. Raises Cancelled."""
         self._done = done
         if self._progress is not None:
-            pace = (time.monotonic() - self._begin) / done if done > 0 else None
-            left = None if pace is None else pace * max(0.0, self.total - done)
-            self._progress(Progress(self.name, done, self.total, left, solver))
+            left = None
+            if done > self._first:
+                left = (time.monotonic() - self._begin) / (done - self._first) * max(0.0, self.total - done)
+            self._progress(Progress(self.name, done, self.total, left, solver, calibration))
         check(self._cancel, self.name)
 
     def step(self) -> None:
@@ -64,12 +67,12 @@ class Stage:
         self.name = name
         self.step()
 
-    def of(self, name: str, done: float, total: float) -> None:
+    def of(self, name: str, done: float, total: float, calibration: Status | None = None) -> None:
         """``done`` of ``total`` is reached in what has this name; another name begins another stage. Raises Cancelled."""
         if name != self.name:
-            self._begin = time.monotonic()
+            self._begin, self._first = time.monotonic(), done
         self.name, self.total = name, total
-        self.reach(done)
+        self.reach(done, calibration=calibration)
 
 
 def check(cancel: Cancel | None, stage: str) -> None:

@@ -12,7 +12,7 @@ from lacli.api.progress import Cancel, OnProgress, Stage, check
 from lacli.base.errors import AnatomyError, UsageError
 
 if TYPE_CHECKING:
-    from lacli.anatomy.segmentation.road import SegmentationOptions, Segmented
+    from lacli.anatomy.segmentation.road import Options, Segmented
 
 STEPS = 6
 
@@ -21,7 +21,7 @@ def segment(
     ct: Path,
     labels: Path,
     out: Path,
-    options: SegmentationOptions,
+    options: Options,
     *,
     anatomy: Path | None = None,
     picture: bool = True,

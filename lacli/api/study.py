@@ -41,7 +41,7 @@ def compare(
 
     patient: the folder of a calibration, targets: what it was made to. others: name -> the calibration to the same targets on
     another anatomy, such as one of uniform thickness. Emulators stand for runs: nothing is simulated. particles: of the
-    sampler, at least 100. Raises InputError, UsageError, Cancelled.
+    sampler, at least 100. Evidences have no units, misfits are in mm. Raises InputError, UsageError, Cancelled.
     """
     from lacli.api.progress import Stage
     from lacli.base.threads import one_thread
@@ -85,9 +85,9 @@ def stats(
 ) -> Statistics:
     """Paired tests of the response between regions, and its mixed model with each predictor, plain and carried.
 
-    table: a row for each patient and region; ``<column>_sd`` beside a column is its posterior's standard deviation, or
-    ``draws`` holds joint draws of it. targets: a file of targets that the stiffness was calibrated to. Raises TableError,
-    InputError, UsageError before anything is computed.
+    Results are in the columns' own units. table: a row for each patient and region; ``<column>_sd`` beside a column is its
+    posterior's standard deviation, or ``draws`` holds joint draws of it. targets: a file of targets that the stiffness was
+    calibrated to. Raises TableError, InputError, UsageError before anything is computed.
     """
     from lacli.base.threads import one_thread
     from lacli.cohort.observations import read_observations

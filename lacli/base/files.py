@@ -69,6 +69,12 @@ def check_file(path: Path) -> None:
     check_folder(path.parent)
 
 
+def superseded(folder: Path, *names: str) -> None:
+    """Remove what an earlier call left in the folder and this one does not write: it would show another result."""
+    for name in names:
+        (folder / name).unlink(missing_ok=True)
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a text file atomically (UTF-8). Raises StorageError."""
     with replacing(path) as temporary:

@@ -1,3 +1,3 @@
-"""The version of lacli: here, below all rooms, so that none needs the public interface to know it."""
+"""The version of lacli, in this one place: the package's metadata and the public interface take it from here."""
 
 __version__ = "0.1.0"

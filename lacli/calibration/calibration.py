@@ -41,8 +41,9 @@ BUDGETS = frozenset({"max_waves", "max_runs", "hours", *(f"mcmc.{name}" for name
 
 @dataclass(frozen=True)
 class Settings:
-    """first_runs, then wave_runs for each wave; thresholds of the waves (the last one goes on); stop when the region's
-    share changes by less than ``tolerance``, after max_waves, max_runs or when another wave would exceed ``hours``."""
+    """Runs, stops and random numbers of a calibration: first_runs, then wave_runs for each wave; thresholds of the waves (the
+    last one goes on); stop when the region's share changes by less than ``tolerance``, after max_waves, max_runs or when
+    another wave would exceed ``hours``."""
 
     first_runs: int = 200
     wave_runs: int = 100

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lacli.contracts.parameters import QUANTITIES
-from lacli.contracts.scene import Scene, load_scene, with_parameters
+from lacli.contracts.scene import Scene, with_parameters
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -38,12 +38,15 @@ class SceneSimulator:
             yield index, _outcome(result, errors)
 
     def determined_by(self, inputs: Sequence[str]) -> Mapping[str, Any]:
-        """The scene but for what the inputs set, the bundle's content, FreeFEM's scripts, the errors that travel with a run."""
+        """The scene but for what the inputs set, the bundle's content, FreeFEM's scripts and version, the errors of a run.
+
+        The engine does not count: both give the same numbers (``benchmarks/engines.py``).
+        """
         from lacli.contracts.identity import determinants, flatten
 
         given = [QUANTITIES[name].key for name in inputs if name in QUANTITIES]
         kept = {key: value for key, value in flatten(determinants(self.scene)).items() if key not in given}
-        return {**kept, "discretisation_error": self._errors()}
+        return {**kept, "freefem": _solver(), "discretisation_error": self._errors()}
 
     def _errors(self) -> dict[str, float]:
         from lacli.mechanics.accuracy import known_errors
@@ -51,18 +54,26 @@ class SceneSimulator:
         return known_errors(self.scene)
 
 
-def simulator(
-    scene_file: Path, root: Path, workers: int | None = None, scheduler: str | None = None, overrides: list[str] | None = None
-) -> SceneSimulator:
-    """The simulator of a scene file. Raises SceneError, and StorageError where nothing can be written to ``root``.
+def _solver() -> str:
+    from lacli.base.errors import SolverMissingError
+    from lacli.freefem.program import find
+
+    try:
+        return find().version
+    except SolverMissingError:
+        return "not installed"
+
+
+def simulator(scene: Scene, root: Path, workers: int | None = None, scheduler: str | None = None) -> SceneSimulator:
+    """The simulator of a scene. Raises StorageError where nothing can be written to ``root``.
 
     Neither fields nor the unloaded state are computed (a calibration makes hundreds of runs and reads their features).
     """
     from lacli.base.files import check_folder
 
     check_folder(root, "--store")
-    scene = load_scene(scene_file, [*(overrides or []), "outputs.fields=none", "outputs.unloaded=false"])
-    return SceneSimulator(scene, root, workers, scheduler)
+    outputs = scene.outputs.model_copy(update={"fields": "none", "unloaded": False})
+    return SceneSimulator(scene.model_copy(update={"outputs": outputs}), root, workers, scheduler)
 
 
 def _outcome(result: RunResult, errors: dict[str, float]) -> Outcome:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ import pandas as pd
 from lacli.anatomy.inputs import image as images
 from lacli.anatomy.surface_features import Endocardium
 from lacli.base.arrays import FloatArray
+from lacli.base.documents import read_json
 from lacli.base.errors import AnatomyError
 from lacli.base.files import write_json, write_text
 from lacli.contracts.bundle import Bundle, check_replaceable, load, save
@@ -24,7 +25,7 @@ from lacli.contracts.scene import dump_scene
 from lacli.motion.annulus import annulus_points, descend
 from lacli.motion.phases import phases_of, volume_spline
 from lacli.motion.store import write_series
-from lacli.synthetic import cycle, gated
+from lacli.synthetic import cycle, gated, kept
 from lacli.synthetic.atrium import synthesize
 from lacli.synthetic.gated import Acquisition
 
@@ -57,17 +58,39 @@ def write_case(
     return info
 
 
+def write_patient(
+    folder: Path,
+    seed: int,
+    atrium: dict[str, Any],
+    given: Mapping[str, float],
+    acquisition: Acquisition,
+    heart_rate: float,
+    monitor: Monitor,
+) -> dict[str, Any]:
+    """What ``write_case`` returns, and the folder; a case that is there and was made from the same is kept as it is.
+
+    given: known parameters; the others are drawn from the seed. Raises AnatomyError where the folder holds something else.
+    """
+    parameters = {**cycle.draw_parameters(seed), **given}
+    made_from = {"seed": seed, "atrium": atrium, "acquisition": asdict(acquisition), "parameters": parameters}
+    info = finished(folder, made_from)
+    if info is None:
+        info = write_case(folder, seed, atrium, parameters, acquisition, heart_rate, monitor)
+    return {"folder": str(folder), **info}
+
+
 def finished(folder: Path, made_from: dict[str, Any]) -> dict[str, Any] | None:
     """What gated.json says of a folder made from the same; None where there is nothing. AnatomyError where there is another."""
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return None
     try:
-        info = json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))
+        info = read_json(folder / DESCRIPTION, error=AnatomyError)
         same = all(info[name] == json.loads(json.dumps(value)) for name, value in made_from.items())
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (AnatomyError, KeyError, TypeError) as error:
         raise AnatomyError(f"{folder} exists and is no synthetic patient; choose another folder or remove it.") from error
     if not same:
         raise AnatomyError(f"{folder} holds a synthetic patient made from other options; choose another folder or remove it.")
+    kept.check(folder, info)
     return dict(info)
 
 
@@ -107,6 +130,7 @@ def _write(
         "parameters": parameters,
     }
     info |= {"rr_ms": 60000.0 / heart_rate, "frame_times_ms": (acquisition.times * 60000.0 / heart_rate).tolist()}
+    info[kept.FILES] = kept.digests(folder, DESCRIPTION)
     write_json(folder / DESCRIPTION, info)
     return info
 

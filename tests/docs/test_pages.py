@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import importlib
+import importlib.metadata
 import importlib.util
 import re
 import shlex
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -96,6 +98,14 @@ def test_the_citation_is_valid_and_of_this_version() -> None:
     assert f"version: {__version__}\n" in text
     assert all(f"\n{key}:" in f"\n{text}" for key in ("cff-version", "message", "title", "authors"))
     assert f"## [{__version__}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_the_version_stands_in_one_place() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    assert project["project"]["dynamic"] == ["version"] and "version" not in project["project"]
+    place = ROOT / project["tool"]["hatch"]["version"]["path"]
+    assert f'__version__ = "{__version__}"' in place.read_text(encoding="utf-8")
+    assert importlib.metadata.version("lacli") == __version__
 
 
 def test_the_picture_is_small() -> None:

@@ -27,8 +27,8 @@ LEAST_OVERLAP = 0.7  # share of the rough label's inside that must be as bright 
 
 
 @dataclass(frozen=True)
-class SegmentationOptions:
-    """What the user chooses for a segmentation.
+class Options:
+    """Choices of a segmentation.
 
     la, muscle, lv: labels of the rough map (blood of the atrium, myocardium to sample, blood of the ventricle); blood_box,
     muscle_box (3, 2) mm: sampled in place of labels; crop: where the valve is; voxel_mm: of the map that is made; wall, fat:
@@ -47,7 +47,7 @@ class SegmentationOptions:
 
 @dataclass(frozen=True)
 class Segmented:
-    """Blood pool, wall and fat of a CT, and the wall's thickness.
+    """A segmented CT.
 
     labels: the map; numbers: what its labels are; thickness: whole wall, then regions; wall: measured point by point; blood,
     muscle: HU as sampled; notes in words."""
@@ -65,7 +65,7 @@ class Segmented:
         return float((self.labels.array == label).sum()) * self.labels.voxel_ml
 
 
-def segment(ct: Image, rough: Image, options: SegmentationOptions, bundle: Bundle | None = None,
+def segment(ct: Image, rough: Image, options: Options, bundle: Bundle | None = None,
             say: Callable[[str], None] = lambda _: None) -> Segmented:  # fmt: skip
     """Blood pool, wall and fat of a CT in HU, from a rough label map on the same grid.
 
@@ -144,7 +144,7 @@ def check_overlap(smooth: FloatArray, la: BoolArray, blood: Tissue, muscle: Tiss
         )
 
 
-def sampled(ct: Image, rough: Image, options: SegmentationOptions) -> tuple[Tissue, Tissue]:
+def sampled(ct: Image, rough: Image, options: Options) -> tuple[Tissue, Tissue]:
     """Blood and myocardium, from the boxes where given, else from the labels."""
     if options.blood_box is not None:
         blood = intensities.in_box(ct, options.blood_box, "the blood's box")
@@ -176,7 +176,7 @@ def _padded(mask: Image) -> Image:
     return mask.crop(np.full(3, -6), size + 6)
 
 
-def _numbers(rough: Image, options: SegmentationOptions) -> Numbers:
+def _numbers(rough: Image, options: Options) -> Numbers:
     taken = {int(v) for v in np.unique(rough.array)} | {0, options.la, *(n for n in (options.wall, options.fat) if n is not None)}
     free = (n for n in range(1, 255) if n not in taken)
     wall_label = options.wall if options.wall is not None else next(free)

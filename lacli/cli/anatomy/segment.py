@@ -65,7 +65,7 @@ def command(
 
     Example: lacli segment ct.nii.gz --labels rough.nii.gz --la 2 --lv 3 --myocardium 5 --out atrium.nrrd
     """
-    from lacli.anatomy.segmentation.road import SegmentationOptions
+    from lacli.anatomy.segmentation.road import Options
     from lacli.api import segmentation
 
     if not 0.1 <= voxel_mm <= 2.0:
@@ -75,7 +75,7 @@ def command(
             raise UsageError(f"{name} is {value}; it must be 1 to 255.")
     if not 0 < la <= 255 or (lv is not None and not 0 < lv <= 255):
         raise UsageError("--la and --lv must be 1 to 255, as they are in the map that is written.")
-    options = SegmentationOptions(
+    options = Options(
         la, myocardium, lv, _box("--blood-box", blood_box), _box("--myocardium-box", myocardium_box),
         _crop(valve_plane, valve_sphere), voxel_mm, wall_label, fat_label,
     )  # fmt: skip

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
+from lacli.api import motion as api
 from lacli.base.errors import UsageError
-from lacli.cli.terminal.console import err, out, print_json, print_table, progress
+from lacli.cli.terminal.console import err, one_bar, out, print_json, print_table
 
 
 def command(
@@ -60,110 +60,42 @@ def command(
 
     Example: lacli track ct/phase_*.nii.gz --bundle anatomy --out motion --times 0,10,20,30,40,50,60,70,80,90
     """
-    from lacli.base.files import check_folder, replacing
-    from lacli.contracts.bundle import load
-    from lacli.motion import frames as framing
-    from lacli.motion.frames import Source
-    from lacli.motion.given import displacement
-    from lacli.motion.patient import Settings, from_given, put, scratch, track
-    from lacli.motion.store import check_replaceable, write_all
-    from lacli.motion.targets import measured
-    from lacli.motion.targets import published as the_seven
-
-    settings = Settings(engine, work_mm, workers, known_motions, harmonics)
-    settings.check()
-    wanted = None if at is None else _numbers(at, "--at")
-    given = None if times is None else _numbers(times, "--times")
-    stated = _stated(motion, error_mm)
-    if axes not in ("lps", "ras"):
-        raise UsageError(f"--axes {axes}: lps (ITK) or ras.")
-    check_folder(folder)
-    check_replaceable(folder)
-    anatomy = load(bundle)
-    with progress() as bar:
-        task = bar.add_task("tracking", total=1)
-
-        def monitor(what: str, done: int, total: int) -> None:
-            bar.update(task, description=what, completed=done, total=total)
-
-        if stated is None:
-            sources = framing.find(images)
-            moments, origin = framing.cycle_times(sources, given)
-            names = [str(source) for source in sources]
-            tracked = track(anatomy, sources, moments, settings, folder / "registration", monitor)
-        else:
-            moved = displacement(anatomy, motion, images, axes, label, monitor)
-            moments, origin = framing.cycle_times([Source(Path(f"frame {i}")) for i in range(len(moved))], given)
-            names = [str(path) for path in images]
-            tracked = from_given(anatomy, moments, moved, stated, motion)
-        assert tracked.ed_residual is not None
-        found = (
-            the_seven(tracked.course, tracked.ed_residual.whole) if published else measured(tracked.course, tracked.model, wanted)
-        )
-        notes = {"bundle": str(bundle), "frames": names, "times_from": origin, "published": published}
-        partial = scratch(folder)
-        try:
-            info = write_all(partial, anatomy, tracked, found, notes)
-            put(partial, folder)
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
-        if update_bundle:
-            with replacing(bundle / "motion.npz") as temporary:
-                shutil.copyfile(folder / "motion.npz", temporary)
-    _say(info, tracked, found, folder, as_json)
-    if figures:
-        _draw(folder, bundle, [str(p) for p in images] if stated is None else [])
+    with one_bar("tracking") as show:
+        found = api.track(
+            images, bundle, folder, times=_numbers(times, "--times"), engine=engine, motion=motion, axes=axes, label=label,
+            error_mm=_numbers(error_mm, "--error-mm"), published=published, at=_numbers(at, "--at"), work_mm=work_mm,
+            workers=workers, known_motions=known_motions, harmonics=harmonics, update_bundle=update_bundle, figures=figures,
+            progress=show,
+        )  # fmt: skip
+    _say(found, as_json)
+    if found.pictures:
+        err.print(f"pictures: {', '.join(path.name for path in found.pictures)}", highlight=False)
+    for text in found.warnings:
+        err.print(text, highlight=False)
 
 
-def _draw(folder: Path, bundle: Path, images: list[str]) -> None:
-    """Pictures are extras: what goes wrong with them is said, and is no failure."""
-    from lacli.report.motion_figures import draw_apart
-
-    drawn, trouble = draw_apart(folder, bundle, images)
-    if drawn:
-        err.print(f"pictures: {', '.join(path.name for path in drawn)}", highlight=False)
-    if trouble:
-        err.print(f"some pictures could not be drawn: {trouble}", highlight=False)
-
-
-def _stated(motion: str, error_mm: str | None) -> tuple[float, float] | None:
-    """The error of a given motion; None where images are tracked and it is measured."""
-    if motion == "images":
-        if error_mm is not None:
-            raise UsageError("--error-mm is for a given motion; of images that are tracked here the error is measured.")
+def _numbers(text: str | None, option: str) -> list[float] | None:
+    if text is None:
         return None
-    if error_mm is None:
-        raise UsageError(f"--motion {motion} needs --error-mm NORMAL,TANGENTIAL (sd, mm): nobody but its maker knows its error.")
-    values = _numbers(error_mm, "--error-mm")
-    if len(values) != 2 or not all(0.0 < value < 20.0 for value in values):
-        raise UsageError(f"--error-mm {error_mm}: two numbers above 0, sd in mm along the normal and tangential (0.3,0.6).")
-    return values[0], values[1]
-
-
-def _numbers(text: str, option: str) -> list[float]:
     try:
         return [float(word) for word in text.replace(" ", ",").split(",") if word]
     except ValueError:
         raise UsageError(f"{option} {text}: give numbers separated by commas.") from None
 
 
-def _say(info: dict[str, Any], tracked: Any, found: Any, folder: Path, as_json: bool) -> None:
-    phases = tracked.course.phases
+def _say(found: api.Tracking, as_json: bool) -> None:
+    targets, phases = found.targets.targets, found.tracked.course.phases
+    rows = list(zip(targets.names, targets.mean.tolist(), targets.sd.tolist(), found.targets.time, strict=True))
     if as_json:
-        values = {
-            name: {"mean": float(mean), "sd": float(sd)}
-            for name, mean, sd in zip(found.targets.names, found.targets.mean, found.targets.sd, strict=True)
-        }
-        print_json({"folder": str(folder), **info, "targets": values})
+        values = {name: {"mean": mean, "sd": sd} for name, mean, sd, _ in rows}
+        print_json({"folder": str(found.folder), **found.report, "targets": values})
         return
-    shown = [
-        [name, float(mean), float(sd)]
-        for name, mean, sd, time in zip(found.targets.names, found.targets.mean, found.targets.sd, found.time, strict=True)
-        if time is None
-    ]
+    shown = [[name, mean, sd] for name, mean, sd, time in rows if time is None]
     print_table(f"at end-systole, {phases.es:.3f} of the RR interval", ["target", "mean", "sd"], shown)
-    err.print(f"frames' times: {info['times_from']}; the nearest frame to ES is {phases.es_gap:.3f} of the RR interval away.")
+    err.print(
+        f"frames' times: {found.report['times_from']}; the nearest frame to ES is {phases.es_gap:.3f} of the RR interval away."
+    )
     out.print(
-        f"written: {folder} (motion.npz, targets.toml, transients.csv, frames/, {len(found.targets.names)} targets)",
+        f"written: {found.folder} (motion.npz, targets.toml, transients.csv, frames/, {len(targets.names)} targets)",
         highlight=False,
     )

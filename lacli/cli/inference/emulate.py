@@ -9,7 +9,7 @@ import typer
 
 from lacli.api import inference
 from lacli.cli.terminal.console import out, print_json, print_table, stages
-from lacli.cli.terminal.tables import BoxFile, Inputs, Json, Linear, Names, Outputs, Seed, box_of_inputs, read, superseded
+from lacli.cli.terminal.tables import BoxFile, Inputs, Json, Linear, Names, Outputs, Seed, read
 
 
 def command(
@@ -32,8 +32,9 @@ def command(
 
     Example: lacli emulate --inputs X.csv --outputs Y.csv --out emulators.npz
     """
-    from lacli.base.files import check_file
+    from lacli.base.files import check_file, superseded
     from lacli.inference.emulation.emulator_set import save_emulators
+    from lacli.inference.given import box_of_inputs
 
     check_file(file)
     table = read(inputs, outputs, names)

@@ -18,10 +18,7 @@ from lacli.cli.terminal.tables import (
     Names,
     Outputs,
     Seed,
-    box_of,
     fitted,
-    selected,
-    superseded,
     warn,
 )
 
@@ -51,10 +48,11 @@ def command(
     """
     import pandas as pd
 
-    from lacli.base.files import check_folder, replacing
+    from lacli.base.files import check_folder, replacing, superseded
     from lacli.contracts.identity import identify, write_identity
     from lacli.contracts.targets import read_targets
     from lacli.inference.emulation.emulator_set import load_emulators
+    from lacli.inference.given import box_of, selected
 
     check_folder(folder)
     targets = read_targets(targets_file)

@@ -9,7 +9,7 @@ import typer
 
 from lacli.api import inference
 from lacli.cli.terminal.console import out, print_json, print_table, stages
-from lacli.cli.terminal.tables import BoxFile, Emulators, Inputs, Json, Names, Outputs, Seed, box_of, fitted, superseded, warn
+from lacli.cli.terminal.tables import BoxFile, Emulators, Inputs, Json, Names, Outputs, Seed, fitted, warn
 
 
 def command(
@@ -31,8 +31,9 @@ def command(
     """
     import pandas as pd
 
-    from lacli.base.files import check_folder, replacing
+    from lacli.base.files import check_folder, replacing, superseded
     from lacli.contracts.identity import identify, write_identity
+    from lacli.inference.given import box_of
 
     inference.check_count(count)
     check_folder(folder)

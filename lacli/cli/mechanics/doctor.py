@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
 from rich.text import Text
 
+from lacli.api import mechanics
 from lacli.cli.terminal.console import err, out, print_json
-from lacli.mechanics.installation import Check, inspect
+
+if TYPE_CHECKING:
+    from lacli.mechanics.installation import Check as InstallationCheck
 
 _COLOUR = {"ok": "green", "missing": "bold red", "advice": "yellow"}
 
@@ -22,7 +26,7 @@ def command(as_json: Annotated[bool, typer.Option("--json", help="One JSON docum
     Example: lacli doctor
     """
     with err.status("looking around"):
-        checks = inspect()
+        checks = mechanics.doctor()
     ok = all(check.ok or not check.needed for check in checks)
     if as_json:
         print_json({"ok": ok, "checks": [{**vars(check), "state": check.state} for check in checks]})
@@ -32,7 +36,7 @@ def command(as_json: Annotated[bool, typer.Option("--json", help="One JSON docum
         raise typer.Exit(1)
 
 
-def _show(checks: list[Check], ok: bool) -> None:
+def _show(checks: Sequence[InstallationCheck], ok: bool) -> None:
     table = Table(header_style="bold")
     table.add_column("what", no_wrap=True)
     table.add_column("state", no_wrap=True)

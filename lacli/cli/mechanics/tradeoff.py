@@ -7,11 +7,10 @@ from typing import Annotated
 
 import typer
 
-from lacli.base.errors import AnatomyError
+from lacli.api import mechanics
 from lacli.cli.terminal.console import out, print_json, print_table
 from lacli.cli.terminal.live import LiveLine
 from lacli.cli.terminal.scenes import read_scene
-from lacli.mechanics.tradeoff import errors, keep, recommend, reference, run_variants
 
 
 def command(
@@ -28,16 +27,12 @@ def command(
     Example: lacli tradeoff scene.toml --finer bundle_3mm --tolerance-mm 0.2
     """
     scene = read_scene(scene_file, overrides)
-    if finer is not None and not (finer / "wall.vtu").is_file():
-        raise AnatomyError(f"{finer}: not an anatomy bundle. Mesh the same atrium with a smaller --cell-size-mm.")
     with LiveLine() as line:
-        variants = list(run_variants(scene, finer.resolve() if finer else None, root, on_progress=line))
-    best = reference(variants)
-    differences = {v.numerics: errors(v, best) for v in variants if v.status == "done" and v.mesh == "own"}
-    cost = {v.numerics: v.cpu_s for v in variants if v.mesh == "own"}
-    choice = recommend(differences, cost, tolerance_mm)
-    if record:
-        keep(variants, best)
+        found = mechanics.tradeoff(
+            scene, finer=finer, tolerance_mm=tolerance_mm, store=root, record=record, progress=lambda event: line(event.solver)
+        )
+    best, choice = found.reference, found.recommended
+    compared = list(zip(found.variants, found.errors, strict=True))
     if as_json:
         print_json(
             {
@@ -51,9 +46,9 @@ def command(
                         "unknowns": v.features.get("unknowns"),
                         "cpu_s": v.cpu_s,
                         "peak_memory_mb": v.peak_memory_mb,
-                        "error": errors(v, best) if v.status == "done" else None,
+                        "error": error if v.status == "done" else None,
                     }
-                    for v in variants
+                    for v, error in compared
                 ],
                 "recommended": choice,
                 "tolerance_mm": tolerance_mm,
@@ -61,8 +56,7 @@ def command(
         )
         return
     rows = []
-    for v in variants:
-        difference = errors(v, best) if v.status == "done" else {}
+    for v, difference in compared:
         worst = max((value for name, value in difference.items() if name.endswith("_mm")), default=float("nan"))
         note = "reference" if v is best else (v.kind or "")
         rows.append(

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
 from rich.text import Text
 
-from lacli.cli.terminal.console import out, print_json, progress
-from lacli.verification.problems import Check, choose, verify
+from lacli.api import mechanics
+from lacli.cli.terminal.console import one_bar, out, print_json
+
+if TYPE_CHECKING:
+    from lacli.verification.problems import Check
 
 
 def command(
@@ -28,14 +32,8 @@ def command(
 
     Example: lacli verify beam ellipsoid
     """
-    chosen = choose(names or [])
-    checks: list[Check] = []
-    with progress() as bar:
-        task = bar.add_task("verify", total=len(chosen))
-        for name in chosen:
-            bar.update(task, description=f"verify {name}")
-            checks += verify(name)
-            bar.advance(task)
+    with one_bar("verify") as show:
+        checks = mechanics.verify(names or (), progress=show)
     if as_json:
         print_json([asdict(check) for check in checks])
     else:
@@ -44,7 +42,7 @@ def command(
         raise typer.Exit(1)
 
 
-def _show(checks: list[Check]) -> None:
+def _show(checks: Sequence[Check]) -> None:
     # a check to a line at 80 columns
     table = Table(title="Verification", title_justify="left", header_style="bold", box=None, padding=(0, 1, 0, 0))
     table.add_column("what", overflow="fold", max_width=34)

@@ -69,6 +69,7 @@ def progress() -> Iterator[Progress]:
         TimeRemainingColumn(),
         console=err,
         transient=True,
+        disable=not err.is_terminal,  # elsewhere it would leave empty lines
     ) as bar:
         yield bar
 

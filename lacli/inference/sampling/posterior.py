@@ -47,7 +47,8 @@ _SCHEMA = {
 
 @dataclass(frozen=True)
 class Settings:
-    """ensembles independent groups of ``walkers`` (0: four per input); stop at rhat and ess, or at max_steps."""
+    """Chains of a posterior: ``ensembles`` independent groups of ``walkers`` (0: four per input); stop at rhat and ess, or
+    at max_steps."""
 
     ensembles: int = 4
     walkers: int = 0

@@ -54,7 +54,7 @@ def ball(wall: float = WALL, direction: np.ndarray | None = None, noise: float =
 @pytest.fixture(scope="module")
 def found() -> road.Segmented:
     ct, rough = ball()
-    return road.segment(ct, rough, road.SegmentationOptions(2, muscle=5))
+    return road.segment(ct, rough, road.Options(2, muscle=5))
 
 
 def test_thickness_is_right_where_it_is_measured(found: road.Segmented) -> None:
@@ -101,7 +101,7 @@ def test_the_label_map_is_what_mesh_reads(found: road.Segmented, tmp_path: Path)
 
 def test_axes_of_the_image_do_not_matter(found: road.Segmented) -> None:
     turn = np.array([[0.0, -1.0, 0.0], [0.8, 0.0, -0.6], [0.6, 0.0, 0.8]])
-    turned = road.segment(*ball(direction=turn), road.SegmentationOptions(2, muscle=5))
+    turned = road.segment(*ball(direction=turn), road.Options(2, muscle=5))
     assert turned.thickness[0].mean_mm == pytest.approx(found.thickness[0].mean_mm, abs=1e-3)
 
 
