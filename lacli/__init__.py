@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from lacli.api.posterior import Posterior, posterior
     from lacli.api.progress import Progress
     from lacli.api.segmentation import segment
-    from lacli.api.study import Report, compare, stats, write_report
+    from lacli.api.study import Cohort, Report, compare, plan_cohort, run_cohort, stats, write_report, write_slurm
     from lacli.api.validation import validate
     from lacli.base.errors import Cancelled, LacliError
     from lacli.calibration.calibration import Settings as CalibrationSettings
@@ -43,6 +43,7 @@ __all__ = [
     "Calibrated",
     "CalibrationSettings",
     "Cancelled",
+    "Cohort",
     "Design",
     "Emulation",
     "EmulatorSet",
@@ -81,6 +82,7 @@ __all__ = [
     "make_box",
     "match",
     "mesh",
+    "plan_cohort",
     "posterior",
     "read_box",
     "read_deck",
@@ -89,6 +91,7 @@ __all__ = [
     "read_targets",
     "recover",
     "rerun",
+    "run_cohort",
     "save_emulators",
     "segment",
     "sensitivity",
@@ -101,6 +104,7 @@ __all__ = [
     "verify",
     "write_deck",
     "write_report",
+    "write_slurm",
 ]
 
 _HOMES = {
@@ -114,7 +118,7 @@ _HOMES = {
     "lacli.api.posterior": ("Posterior", "posterior"),
     "lacli.api.progress": ("Progress",),
     "lacli.api.segmentation": ("segment",),
-    "lacli.api.study": ("Report", "compare", "stats", "write_report"),
+    "lacli.api.study": ("Cohort", "Report", "compare", "plan_cohort", "run_cohort", "stats", "write_report", "write_slurm"),
     "lacli.api.validation": ("validate",),
     "lacli.base.errors": ("Cancelled", "LacliError"),
     "lacli.contracts.scene": ("Scene", "load_scene"),
@@ -122,8 +126,8 @@ _HOMES = {
     "lacli.contracts.targets": ("Targets", "read_targets"),
     "lacli.inference.box": ("Box", "make_box", "read_box"),
     "lacli.inference.emulation.emulator_set": ("EmulatorSet", "load_emulators", "save_emulators"),
-    "lacli.mechanics.simulation": ("RunResult",),
     "lacli.motion.validation": ("Validation",),
+    "lacli.mechanics.simulation": ("RunResult",),
 }
 _HOME = {name: (home, name) for home, names in _HOMES.items() for name in names} | {
     "CalibrationSettings": ("lacli.calibration.calibration", "Settings"),
