@@ -369,7 +369,8 @@ def _result(
         notes.append("the chain has not converged (R-hat or effective samples are not those asked for).")
     used = search.log.frame(search.x)
     return Sequential(
-        box, targets, map_x, misfit, map_runs, dict(search.stages), len(evidence.failed), mcmc.summary(chain, map_x, box, None), moved,
+        box, targets, map_x, misfit, map_runs, dict(search.stages), len(evidence.failed), mcmc.summary(chain, map_x, box, None),
+        moved,
         search.scale.to_x(np.array([mode.centre for mode in known])), swept, chain, fitted, local.held_out, stopped, refused,
         tuple(notes), search.x, float(used["cpu_s"].sum()),
     )  # fmt: skip
