@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -65,6 +65,7 @@ def calibrate(
     store: Path | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
+    sensitivities: bool = True,
     fresh: bool = False,
     retry: bool = False,
     figures: bool = False,
@@ -76,7 +77,8 @@ def calibrate(
     Targets and inputs are in the units of their names. scene: what is run; or None, with a ``table`` of inputs and outputs
     of runs done elsewhere. box: ranges of the inputs (default: the published ones of the 9 inputs, or the table's);
     settings: runs, budgets, prior, sampling, seed; store: folder of the simulations (default: in ``folder``); workers:
-    simulations side by side here, scheduler: address of a Dask scheduler instead; fresh: start in a sub-folder where
+    simulations side by side here, scheduler: address of a Dask scheduler instead; sensitivities: whether runs tell their
+    derivatives; fresh: start in a sub-folder where
     ``folder`` holds something else; retry: run again what the machine has ended three times. Called again it goes on, and
     ends as if it had not been interrupted. Raises LacliError where no point of the box reaches the targets, UsageError,
     TableError, AnatomyError, SolverMissingError, StorageError, Cancelled.
@@ -95,18 +97,20 @@ def calibrate(
     if table is not None:
         folder, result = calibrate_table(table, targets, box, settings, folder, fresh, hear)
     else:
+        from lacli.base.processes.locks import working_on
         from lacli.calibration.calibration import calibration_identity, obstacle
         from lacli.inference.box import published_box
         from lacli.inference.runs import RunLog, runs_identity
 
         assert scene is not None
         box = box or published_box()
-        run = _simulator(scene, store or folder / WAVES, workers, scheduler)
+        run = _simulator(scene, store or folder / WAVES, workers, scheduler, targets.names, sensitivities)
         of_runs = runs_identity(run, box.names, targets.names)
         identity = calibration_identity(box, targets, settings, of_runs)
         folder = _settle(folder, lambda place: obstacle(place, identity), of_runs, fresh)
-        log = RunLog(folder / "runs.csv", box.names, targets.names, of_runs, retry)
-        result = run_waves(run, box, targets, settings, folder, log, monitor=hear)
+        with working_on(folder):
+            log = RunLog(folder / "runs.csv", box.names, targets.names, of_runs, retry)
+            result = run_waves(run, box, targets, settings, folder, log, monitor=hear)
     superseded(folder, *drawing.FIGURES)
     pictures: list[Path] = []
     if figures:
@@ -139,6 +143,7 @@ def recover(
     simulation at the truth fails, UsageError, AnatomyError, SolverMissingError, StorageError, Cancelled.
     """
     from lacli.base.files import superseded
+    from lacli.base.processes.locks import working_on
     from lacli.calibration.calibration import Settings, obstacle
     from lacli.calibration.synthetic_truth import logged, truth_identity, verify
     from lacli.inference.box import OUTPUTS, published_box
@@ -148,13 +153,14 @@ def recover(
     settings = settings or Settings()
     _check(settings, folder)
     box = box or published_box()
-    run = _simulator(scene, store or folder / WAVES, workers, scheduler)
+    run = _simulator(scene, store or folder / WAVES, workers, scheduler, (), False)
     x = _point(truth or {}, box)
     of_runs = runs_identity(run, box.names, logged(OUTPUTS))
     identity = truth_identity(run, box, OUTPUTS, x, settings)
     folder = _settle(folder, lambda place: obstacle(place, identity), of_runs, fresh)
     hear = _Listener(progress, cancel)
-    levels = verify(run, box, OUTPUTS, x, settings, folder, hear)
+    with working_on(folder):
+        levels = verify(run, box, OUTPUTS, x, settings, folder, hear)
     superseded(folder, drawing.RECOVERY, *(f"{r.level}/{name}" for r in levels for name in drawing.FIGURES))
     pictures: list[Path] = []
     if figures:
@@ -170,10 +176,12 @@ def _check(settings: Settings, folder: Path) -> None:
     check_folder(folder)
 
 
-def _simulator(scene: Scene, store: Path, workers: int | None, scheduler: str | None) -> SceneSimulator:
+def _simulator(
+    scene: Scene, store: Path, workers: int | None, scheduler: str | None, targets: Sequence[str], sensitivities: bool
+) -> SceneSimulator:
     from lacli.calibration.simulator import simulator
 
-    return simulator(scene, store, workers, scheduler)
+    return simulator(scene, store, workers, scheduler, targets=targets, sensitivities=sensitivities)
 
 
 def _settle(folder: Path, in_the_way: Callable[[Path], str], of_runs: Identity, fresh: bool) -> Path:
@@ -193,8 +201,13 @@ def _point(truth: Mapping[str, float], box: Box) -> FloatArray:
         if name not in box.names:
             raise UsageError(f"--truth {name}: no input of the box; its inputs are {', '.join(box.names)}.")
         x[box.names.index(name)] = value
-    if not box.contains(x[None])[0]:
-        raise UsageError("--truth: the point is outside the box.")
+    for name, value, low, high in zip(box.names, x, box.lower, box.upper, strict=True):
+        if not low <= value <= high:
+            raise UsageError(f"--truth: {name} is {value:g}, outside the box ({low:g} to {high:g}). Set --truth {name}=VALUE.")
+    for i, j in box.ordered:
+        if not x[i] < x[j]:
+            a, b = box.names[i], box.names[j]
+            raise UsageError(f"--truth: {a} is {x[i]:g}, not below {b}, {x[j]:g}. Set --truth {a}=VALUE or {b}=VALUE.")
     return x
 
 
