@@ -146,6 +146,45 @@ def _option(parameter: Any) -> list[object]:
     return [", ".join(code(name) for name in names), shown, plain(parameter.help or "")]
 
 
+def api_page() -> str:
+    """Every public name of Python with its signature and docstring, from the code."""
+    import inspect
+
+    import lacli
+
+    text = MADE + "# Python\n\nWhat a command does is one call, with `progress` and `cancel` as arguments; "
+    text += "`examples/api.py` goes the whole way.\n"
+    names = [name for name in lacli.__all__ if name != "__version__"]
+    verbs = [name for name in names if inspect.isfunction(getattr(lacli, name))]
+    for title, chosen in (("Verbs", verbs), ("Types", [name for name in names if name not in verbs])):
+        text += f"\n## {title}\n"
+        for name in chosen:
+            one = getattr(lacli, name)
+            first, _, rest = (inspect.getdoc(one) or "").partition("\n\n")
+            text += f"\n### {name}\n\n"
+            if name in verbs:
+                text += f"```python\n{_signature(name, one)}\n```\n\n"
+            text += "".join(plain(" ".join(part.replace("``", "`").split())) + "\n\n" for part in (first, rest) if part)
+    return text.rstrip() + "\n"
+
+
+def _signature(name: str, verb: Any) -> str:
+    """A verb's call, an argument a line behind the first ones."""
+    import inspect
+
+    given = list(inspect.signature(verb).parameters.values())
+    first = ", ".join(p.name for p in given if p.kind is not p.KEYWORD_ONLY and p.default is p.empty)
+    more = [f"{p.name}={_shown(p.default)}" for p in given if p.default is not p.empty]
+    lines = [first + ","] if first and more else [first] if first else []
+    if not more:
+        return f"lacli.{name}({first})"
+    return "\n    ".join([f"lacli.{name}(", *lines, *(f"{argument}," for argument in more)]) + "\n)"
+
+
+def _shown(value: Any) -> str:
+    return f'Path("{value}")' if isinstance(value, Path) else repr(value)
+
+
 def features_page() -> str:
     """Every feature that images and simulations share, from the table of features."""
     from lacli.contracts.features import FEATURES
@@ -249,6 +288,7 @@ PAGES = {
     "commands.md": commands_page,
     "features.md": features_page,
     "files.md": files_page,
+    "api.md": api_page,
     "rooms.svg": rooms_picture,
 }
 
