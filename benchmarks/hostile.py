@@ -226,12 +226,15 @@ def judge(case: int, seed: int, good: Path, place: Path, wanted: dict[str, tuple
     code, said, output, wall_s, memory_mb = call(words, place)
     verdict = _verdict(code, said, output, memory_mb, wanted[reader.name])
     if verdict == "other answer unsaid" and reader.name in WRITTEN:
-        verdict = "nonsense planned" if _nonsense(damage) else "another input, taken"
+        verdict = "nonsense planned" if _nonsense(reader.name, damage) else "another input, taken"
     return Verdict(case, reader.name, damage, verdict, said.strip()[-600:], round(wall_s, 1), round(memory_mb))
 
 
-def _nonsense(damage: str) -> bool:
+def _nonsense(reader: str, damage: str) -> bool:
     """Whether what was written where a number belongs cannot be one."""
+    how, _, word = damage.partition(" ")
+    if (reader, word) == ("box", "[1, 2]") or (how == "heading" and word in ("oops", "True")):
+        return False  # a range, a name
     return any(word in damage for word in ("nan", "inf", "1e400", "1e308", "1e9", "999", "text", "true", "[", "oops", "=-1"))
 
 
@@ -245,7 +248,7 @@ def _verdict(code: int | None, said: str, output: str, memory_mb: float, wanted:
     if code not in (0, 1, 2):
         return "odd exit code"
     messages = [line for line in said.splitlines() if line.strip()]
-    own = [line for line in messages if line.startswith(("lacli:", "note:"))]
+    own = [line for line in messages if line.startswith(("lacli:", "note:", "warning:"))]
     if any(_CHATTER.search(line) for line in messages if line not in own):
         return "library's own words"
     if code:
@@ -253,7 +256,7 @@ def _verdict(code: int | None, said: str, output: str, memory_mb: float, wanted:
         return "refused" if len(told) == 1 else "refused without one message"
     if wanted[0] == 0 and answer(output) == wanted[1]:
         return "same answer"
-    told = any(line.startswith("note:") or "made again" in line for line in messages)
+    told = any(line.startswith(("note:", "warning:")) or "made again" in line for line in messages)
     return "other answer, said" if told else "other answer unsaid"
 
 

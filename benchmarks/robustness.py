@@ -193,6 +193,8 @@ def volley(folder: Path, count: int, seed: int) -> Iterator[Verdict]:
     def tell(shot: Shot) -> None:
         faults = "; ".join(shot.faults) or "as asked"
         err.print(f"{shot.target}: {shot.how} of {shot.victim} after {shot.after_s:.1f} s: {faults}", highlight=False)
+        if shot.faults:
+            err.print(shot.said, highlight=False, markup=False, soft_wrap=True)
 
     place = Range(folder)
     landed, misses = shots(place, count, seed, tell)

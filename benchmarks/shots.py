@@ -261,7 +261,7 @@ class Shooter:
                     time.sleep(0.01)
                 self._no_orphan(shot, mark)
             _, said = lacli.communicate(timeout=900)
-        shot.exit_code, shot.said = lacli.returncode, said.strip()[-300:]
+        shot.exit_code, shot.said = lacli.returncode, said.strip()[-3000:]
         if victim == "lacli" and lacli.returncode == 0:
             return None  # it had all but ended
         self._judge(shot, number, said)

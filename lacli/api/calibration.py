@@ -95,6 +95,7 @@ def calibrate(
     if table is not None:
         folder, result = calibrate_table(table, targets, box, settings, folder, fresh, hear)
     else:
+        from lacli.base.processes.locks import working_on
         from lacli.calibration.calibration import calibration_identity, obstacle
         from lacli.inference.box import published_box
         from lacli.inference.runs import RunLog, runs_identity
@@ -105,8 +106,9 @@ def calibrate(
         of_runs = runs_identity(run, box.names, targets.names)
         identity = calibration_identity(box, targets, settings, of_runs)
         folder = _settle(folder, lambda place: obstacle(place, identity), of_runs, fresh)
-        log = RunLog(folder / "runs.csv", box.names, targets.names, of_runs, retry)
-        result = run_waves(run, box, targets, settings, folder, log, monitor=hear)
+        with working_on(folder):
+            log = RunLog(folder / "runs.csv", box.names, targets.names, of_runs, retry)
+            result = run_waves(run, box, targets, settings, folder, log, monitor=hear)
     superseded(folder, *drawing.FIGURES)
     pictures: list[Path] = []
     if figures:
@@ -139,6 +141,7 @@ def recover(
     simulation at the truth fails, UsageError, AnatomyError, SolverMissingError, StorageError, Cancelled.
     """
     from lacli.base.files import superseded
+    from lacli.base.processes.locks import working_on
     from lacli.calibration.calibration import Settings, obstacle
     from lacli.calibration.synthetic_truth import logged, truth_identity, verify
     from lacli.inference.box import OUTPUTS, published_box
@@ -154,7 +157,8 @@ def recover(
     identity = truth_identity(run, box, OUTPUTS, x, settings)
     folder = _settle(folder, lambda place: obstacle(place, identity), of_runs, fresh)
     hear = _Listener(progress, cancel)
-    levels = verify(run, box, OUTPUTS, x, settings, folder, hear)
+    with working_on(folder):
+        levels = verify(run, box, OUTPUTS, x, settings, folder, hear)
     superseded(folder, drawing.RECOVERY, *(f"{r.level}/{name}" for r in levels for name in drawing.FIGURES))
     pictures: list[Path] = []
     if figures:
@@ -193,8 +197,13 @@ def _point(truth: Mapping[str, float], box: Box) -> FloatArray:
         if name not in box.names:
             raise UsageError(f"--truth {name}: no input of the box; its inputs are {', '.join(box.names)}.")
         x[box.names.index(name)] = value
-    if not box.contains(x[None])[0]:
-        raise UsageError("--truth: the point is outside the box.")
+    for name, value, low, high in zip(box.names, x, box.lower, box.upper, strict=True):
+        if not low <= value <= high:
+            raise UsageError(f"--truth: {name} is {value:g}, outside the box ({low:g} to {high:g}). Set --truth {name}=VALUE.")
+    for i, j in box.ordered:
+        if not x[i] < x[j]:
+            a, b = box.names[i], box.names[j]
+            raise UsageError(f"--truth: {a} is {x[i]:g}, not below {b}, {x[j]:g}. Set --truth {a}=VALUE or {b}=VALUE.")
     return x
 
 

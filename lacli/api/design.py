@@ -78,6 +78,7 @@ def design(
         x = points(box, count, chosen, seed, accept)
         design_file.write(pd.DataFrame(x, columns=list(box.names)), table, None)
         return Design(table, box, x, len(x), 0, note)
+    from lacli.base.processes.locks import working_on
     from lacli.calibration.simulator import simulator
     from lacli.inference.runs import RunLog, runs_identity
 
@@ -87,11 +88,12 @@ def design(
     table = design_file.place_of_runs(table, identity, fresh)
     accept, note = design_file.feasibility(runs, box)
     x = points(box, count, chosen, seed, accept)
-    log = RunLog(design_file.log_of(table), box.names, outputs, identity, retry)
     stage = Stage("", len(x), progress, cancel)
-    log.run(program, x, lambda done, total: stage.of("simulations", done, total))
-    failed = int((log.frame(x)["status"] != "done").sum())
-    frame = log.arrange(x)
-    if table != log.path:
-        design_file.write(frame, table, identity)
+    with working_on(table):
+        log = RunLog(design_file.log_of(table), box.names, outputs, identity, retry)
+        log.run(program, x, lambda done, total: stage.of("simulations", done, total))
+        failed = int((log.frame(x)["status"] != "done").sum())
+        frame = log.arrange(x)
+        if table != log.path:
+            design_file.write(frame, table, identity)
     return Design(table, box, x, len(frame), failed, note)

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from lacli.base.errors import TableError, UsageError
+from lacli.base.processes.locks import working_on
 from lacli.calibration.calibration import Calibration, Monitor, Settings, calibrate, calibration_identity, given_runs, obstacle
 from lacli.contracts.identity import settle
 from lacli.contracts.tables.columns import error_of, to_numbers
@@ -37,7 +38,8 @@ def calibrate_table(
     given = given[np.sort(first)]
     identity = calibration_identity(box, targets, settings, given_runs(log, given, targets))
     folder = settle(folder, lambda place: obstacle(place, identity), fresh)
-    return folder, calibrate(None, box, targets, settings, folder, log, given=given, monitor=monitor)
+    with working_on(folder):
+        return folder, calibrate(None, box, targets, settings, folder, log, given=given, monitor=monitor)
 
 
 def _box_of(frame: pd.DataFrame, targets: Targets) -> Box:

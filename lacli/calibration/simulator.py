@@ -38,17 +38,30 @@ class SceneSimulator:
             yield index, _outcome(result, errors)
 
     def determined_by(self, inputs: Sequence[str]) -> Mapping[str, Any]:
-        """The scene but for what the inputs set, the bundle's content, FreeFEM's scripts, the errors that travel with a run."""
+        """The scene but for what the inputs set, the bundle's content, FreeFEM's scripts and version, the errors of a run.
+
+        The engine does not count: both give the same numbers (``benchmarks/engines.py``).
+        """
         from lacli.contracts.identity import determinants, flatten
 
         given = [QUANTITIES[name].key for name in inputs if name in QUANTITIES]
         kept = {key: value for key, value in flatten(determinants(self.scene)).items() if key not in given}
-        return {**kept, "discretisation_error": self._errors()}
+        return {**kept, "freefem": _solver(), "discretisation_error": self._errors()}
 
     def _errors(self) -> dict[str, float]:
         from lacli.mechanics.accuracy import known_errors
 
         return known_errors(self.scene)
+
+
+def _solver() -> str:
+    from lacli.base.errors import SolverMissingError
+    from lacli.freefem.program import find
+
+    try:
+        return find().version
+    except SolverMissingError:
+        return "not installed"
 
 
 def simulator(scene: Scene, root: Path, workers: int | None = None, scheduler: str | None = None) -> SceneSimulator:

@@ -36,7 +36,6 @@ class Plan:
     vein_springs: bool
     pericardium: bool
     outward_only: bool
-    fibres: bool
     sensitivities: bool
     phases: tuple[Phase, ...]
 

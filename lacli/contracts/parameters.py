@@ -16,6 +16,7 @@ from typing import Literal
 
 from lacli.base.errors import SceneError
 from lacli.contracts.labels import BODY_REGIONS
+from lacli.contracts.laws import CONSTANTS
 
 Range = tuple[float, float]
 
@@ -120,20 +121,12 @@ _TABLE: tuple[Quantity, ...] = (
         "end of the pericardium on the way from mitral valve (0) to roof (1)", 0.75,
         possible=(0.0, 1.0), plausible=(0.2, 1.0), study=(0.5, 0.95),
     ),
-    Quantity(
-        "bf", "materials.bf", r"b_\mathrm{f}", "",
-        "exponent along the fibre", 8.0,
-        possible=(1e-3, 500.0), plausible=(0.3, 80.0), log=True,
-    ),
-    Quantity(
-        "bft", "materials.bft", r"b_\mathrm{ft}", "",
-        "exponent of shear between fibre and cross-fibre", 4.0,
-        possible=(1e-3, 500.0), plausible=(0.2, 60.0), log=True,
-    ),
-    Quantity(
-        "bt", "materials.bt", r"b_\mathrm{t}", "",
-        "exponent across the fibre", 3.0,
-        possible=(1e-3, 500.0), plausible=(0.2, 60.0), log=True,
+    *(
+        Quantity(
+            c.name, f"materials.{c.name}", c.symbol, c.unit, c.text, c.default,
+            possible=c.possible, plausible=c.plausible, log=c.log,
+        )
+        for c in CONSTANTS
     ),
     Quantity(
         "kappa_kpa", "materials.kappa_kpa", r"\kappa", "kPa",

@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, create_model, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from lacli.base.documents import brief, parse_toml, read_toml
 from lacli.base.errors import SceneError
 from lacli.contracts.labels import BODY_REGIONS
+from lacli.contracts.laws import CONSTANTS, LAWS, MOST_CONSTANTS
 from lacli.contracts.parameters import BY_KEY, QUANTITIES, judge, meant
 
 MMHG_KPA = 0.133322
@@ -97,21 +98,33 @@ class Anatomy(_Frozen):
     bundle: Path = Field(description="folder of the anatomy bundle, relative to the scene file")
 
 
-class Materials(_Frozen):
-    """Guccione's law of the wall (C, alpha per region) and neo-Hookean rings and planes."""
+class _Wall(_Frozen):
+    """The law of the wall and what all laws have by region."""
 
     place = "materials"
-    law: Literal["guccione", "neo_hookean"] = Field(default="guccione", description="law of the wall")
+    law: Literal[tuple(LAWS)] = Field(default="guccione", description="law of the wall")  # type: ignore[valid-type]
     c_kpa: Stiffness = Stiffness(**{name: _default(f"materials.c_kpa.{name}") for name in BODY_REGIONS})
     alpha: Exponent = Exponent(**{name: _default(f"materials.alpha.{name}") for name in BODY_REGIONS})
-    bf: Number = _default("materials.bf")
-    bft: Number = _default("materials.bft")
-    bt: Number = _default("materials.bt")
+
+    _spread_regions = field_validator("c_kpa", "alpha", mode="before")(_spread)
+
+
+# a field for each constant of contracts/laws
+_FIELDS: dict[str, Any] = {c.name: (Number, _default(f"materials.{c.name}")) for c in CONSTANTS}
+_Constants: Any = create_model("_Constants", __base__=_Wall, **_FIELDS)
+
+
+class Materials(_Constants):
+    """The law of the wall (C, alpha per region, constants of its own) and neo-Hookean rings and planes."""
+
     kappa_kpa: Number = _default("materials.kappa_kpa")
     ring_c_kpa: Number = _default("materials.ring_c_kpa")
     plane_c_kpa: Number = _default("materials.plane_c_kpa")
 
-    _spread_regions = field_validator("c_kpa", "alpha", mode="before")(_spread)
+    def constants(self) -> tuple[float, ...]:
+        """Of the law, as many as the engine has places for; 0 where the law has fewer."""
+        given = tuple(float(getattr(self, constant.name)) for constant in LAWS[self.law].constants)
+        return given + (0.0,) * (MOST_CONSTANTS - len(given))
 
 
 class Loads(_Frozen):

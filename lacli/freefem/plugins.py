@@ -24,9 +24,10 @@ def plugin_obstacle(freefem: FreeFem) -> str | None:
 def compile_plugin(freefem: FreeFem, source: Path, cache_folder: Path | None = None, flags: Sequence[str] = ()) -> Path:
     """Compile a FreeFEM plugin once per source, FreeFEM and compiler; later calls return the kept one.
 
-    The source's own folder is part of the source (headers beside it); a line ``// link: -lname ...`` in it names
-    libraries to link, ``flags`` are for the compiler. It is built in a temporary folder, tried, and moved into place,
-    so several processes may ask at once. Raises SolverMissingError when it cannot be built or does not load.
+    The headers in the source's own folder and below are part of the source, and found from there; a line
+    ``// link: -lname ...`` in it names libraries to link, ``flags`` are for the compiler. It is built in a temporary folder,
+    tried, and moved into place, so several processes may ask at once. Raises SolverMissingError when it cannot be built or does
+    not load.
     """
     if obstacle := plugin_obstacle(freefem):
         raise SolverMissingError(f"{source.name} is not compiled: {obstacle}")
@@ -43,7 +44,14 @@ def _compile(freefem: FreeFem, source: Path, folder: Path, flags: Sequence[str])
     # what ff-c++ runs, in one step: these macros must be those FreeFEM itself was compiled with
     macros = ["-DNDEBUG", "-DBAMG_LONG_LONG", "-DNCHECKPTR"]
     command = [str(freefem.compiler), "-shared", "-fPIC", "-O3", "-std=c++14", "-w", *macros, *flags]
-    command += [f"-I{freefem.header_path}", str(source.resolve()), "-o", str(built), *_libraries(source)]
+    command += [
+        f"-I{source.parent.resolve()}",
+        f"-I{freefem.header_path}",
+        str(source.resolve()),
+        "-o",
+        str(built),
+        *_libraries(source),
+    ]
     answer = compiled.compile_with(command, folder, source.name)
     if answer.code != 0:
         errors = [line for line in answer.lines if "error:" in line or "cannot find" in line][:3]
@@ -61,7 +69,7 @@ def _libraries(source: Path) -> list[str]:
 def _plugin_parts(freefem: FreeFem, source: Path, flags: Sequence[str]) -> tuple[str, ...]:
     """What a compiled plugin depends on."""
     state = freefem.binary.resolve().stat()
-    texts = [source, *sorted(path for path in source.parent.iterdir() if path.suffix in (".hpp", ".h"))]
+    texts = [source, *sorted(path for path in source.parent.rglob("*") if path.suffix in (".hpp", ".h"))]
     parts = [path.read_text(encoding="utf-8") for path in texts]
     if any("native" in flag for flag in flags):
         parts.append(compiled.processor())

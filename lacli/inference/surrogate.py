@@ -52,7 +52,7 @@ def fit_surrogate(density: Density, x: FloatArray) -> tuple[Surrogate, float]:
     """
     box = density.region.box
     log_inputs = (density.emulators.log_share > 0.5) & (box.lower > 0)
-    mean, variance = density.emulators.predict(x)
+    mean, variance = density.emulators.predict_truth(x)
     y = np.hstack([mean, np.log(variance)])
     kept_out = np.zeros(len(x), bool)
     kept_out[::5] = True

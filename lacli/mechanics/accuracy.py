@@ -6,16 +6,18 @@ numerics, the bundle's content, FreeFEM's scripts. Another scene, a bundle made 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from lacli.base.documents import read_json
 from lacli.base.errors import InputError
 from lacli.base.files import write_json
-from lacli.contracts.identity import Identity, determinants, flatten, identify
+from lacli.contracts.identity import Identity, content_hash, determinants, flatten, identify
 from lacli.contracts.scene import Scene
 
 FILE = "accuracy.json"
+_SEAL = "digest"
 # keys of a scene that change what is written, how long it may take or by which engine, not the numbers
 _SAME_NUMBERS = ("outputs", "numerics.engine", "numerics.timeout_s")
 
@@ -38,7 +40,11 @@ def known_errors(scene: Scene) -> dict[str, float]:
     if not file.is_file():
         return {}
     try:
-        entry = _entries(file).get(measured(scene).digest, {"errors": {}})
+        entry = _entries(file).get(measured(scene).digest)
+        if entry is None:
+            return {}
+        if entry.get(_SEAL) != _seal(entry):
+            raise ValueError("the errors of this scene were changed since they were measured")
         return {str(name): float(value) for name, value in entry["errors"].items()}
     except (InputError, ValueError, TypeError, KeyError, AttributeError) as error:
         raise InputError(f"{file}: cannot be read ({error}). Remove it, or run `lacli tradeoff` again.") from error
@@ -58,7 +64,13 @@ def record(scene: Scene, errors: dict[str, float], reference: Scene) -> None:
         "measured": dict(identity.content),
         "against": dict(measured(reference).content),
     }
+    entries[identity.digest][_SEAL] = _seal(entries[identity.digest])
     write_json(file, {"entries": entries})
+
+
+def _seal(entry: Mapping[str, Any]) -> str:
+    """Digest of an entry but for its seal."""
+    return content_hash({key: value for key, value in entry.items() if key != _SEAL})
 
 
 def _entries(file: Path) -> dict[str, Any]:

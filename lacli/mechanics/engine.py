@@ -10,13 +10,19 @@ import logging
 from pathlib import Path
 
 from lacli.base import resources
-from lacli.base.errors import SolverMissingError
+from lacli.base.errors import SceneError, SolverMissingError
+from lacli.contracts.laws import LAWS
 from lacli.contracts.scene import Scene
 from lacli.freefem.plugins import compile_plugin, plugin_obstacle
 from lacli.freefem.program import find
 
 # the plugin calls MUMPS itself, to keep its analysis between factorisations
-PLUGIN_FLAGS = ("-Wl,--no-as-needed", "-march=native", "-ldmumps_seq", "-lmpiseq_seq")
+PLUGIN_FLAGS = (
+    *("-Wl,--no-as-needed", "-march=native", "-ldmumps_seq", "-lmpiseq_seq"),
+    # the laws that plugin/law.hpp chooses from
+    *(word for name in LAWS for word in ("-include", f"laws/{name}.hpp")),
+    "-DLACLI_LAWS=" + " ".join(f"X({name})" for name in LAWS),
+)
 SLOWER = "twice the time"  # of the script; benchmarks/engines.py: 2.0 (P1) and 2.3 (P2) times
 _logger = logging.getLogger(__name__)
 
@@ -36,15 +42,19 @@ def choose(scene: Scene) -> Path | None:
     """The compiled engine's file, or None for the script; ``numerics.engine`` decides.
 
     "auto" falls back on the script with one line of warning a process. Raises SolverMissingError where FreeFEM is missing, or
-    where "plugin" is asked for and cannot be built.
+    where the plugin cannot be built and is asked for, or alone has the scene's law; SceneError where the script is asked for such
+    a law.
     """
+    law = LAWS[scene.materials.law]
     if scene.numerics.engine == "script":
+        if not law.script:
+            raise SceneError(f"only the compiled engine has materials.law {law.name!r}: set numerics.engine to 'plugin'.")
         return None
     find()
     try:
         return plugin()
     except SolverMissingError as error:
-        if scene.numerics.engine == "plugin":
+        if scene.numerics.engine == "plugin" or not law.script:
             raise
         _warn(str(error))
         return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import IntEnum
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,27 @@ from lacli.base.errors import AnatomyError
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.case import Case
 from lacli.contracts.labels import BODY_REGIONS, ENDO, EPI, REGIONS, RINGS, is_body, is_plane
+from lacli.contracts.laws import LAWS, MOST_CONSTANTS, NUMBER, RINGS_LAW
 from lacli.contracts.motion import Motion
 from lacli.contracts.scene import Materials, Pericardium
 from lacli.freefem.files import CELL_ORDER, write_arrays, write_faces, write_medit
 from lacli.geometry.quadrature import at_quadrature
+
+
+class Cell(IntEnum):
+    """Columns of the engine's table of cells (``CellColumn`` in lacli.cpp), by their first."""
+
+    LAW = 0
+    C = 1
+    ALPHA = 2
+    CONSTANTS = 3
+    KAPPA_POINTS = CONSTANTS + MOST_CONSTANTS
+    KAPPA_FIELD = KAPPA_POINTS + 1
+    FIBRE = KAPPA_FIELD + 1
+    STABILISATION = FIBRE + 3
+
+
+CELL_COLUMNS = Cell.STABILISATION + 1
 
 
 def pericardium_weight(xi: FloatArray, settings: Pericardium) -> FloatArray:
@@ -69,27 +87,29 @@ def annulus_spline(motion: Motion) -> CubicSpline:
 
 
 def material_table(bundle: Bundle, materials: Materials, kappa_points_kpa: float) -> FloatArray:
-    """(m, 12): law, C, alpha, bf, bft, bt, kappa at the points and on the pressure field, fibre, stabilisation (1/kPa)."""
-    table = np.zeros((len(bundle.tets), 12))
+    """(m, 12) columns of ``Cells``: number of the law, C, alpha, its constants, kappa at the points and on the pressure field,
+    fibre, stabilisation (1/kPa)."""
+    law, constants = LAWS[materials.law], np.array(materials.constants())
+    rings = LAWS[RINGS_LAW]
+    table = np.zeros((len(bundle.tets), CELL_COLUMNS))
     body = is_body(bundle.region)
     stiff = (bundle.region == RINGS["mv"]) | is_plane(bundle.region)
-    guccione = body & (materials.law == "guccione")
-    table[:, 0] = ~guccione
-    table[:, 1] = np.where(stiff, materials.plane_c_kpa, materials.ring_c_kpa)
-    table[:, 2] = 1.0
+    table[:, Cell.LAW] = np.where(body, NUMBER[law.name], NUMBER[rings.name])
+    table[:, Cell.C] = np.where(stiff, materials.plane_c_kpa, materials.ring_c_kpa)
+    table[:, Cell.ALPHA] = 1.0
     for name in BODY_REGIONS:
         here = bundle.region == REGIONS[name]
-        table[here, 1] = getattr(materials.c_kpa, name)
-        table[here, 2] = getattr(materials.alpha, name)
-    table[:, 3:6] = materials.bf, materials.bft, materials.bt
-    table[:, 6] = kappa_points_kpa
-    table[:, 7] = materials.kappa_kpa - kappa_points_kpa
+        table[here, Cell.C] = getattr(materials.c_kpa, name)
+        table[here, Cell.ALPHA] = getattr(materials.alpha, name)
+    table[:, Cell.CONSTANTS : Cell.KAPPA_POINTS] = constants
+    table[:, Cell.KAPPA_POINTS] = kappa_points_kpa
+    table[:, Cell.KAPPA_FIELD] = materials.kappa_kpa - kappa_points_kpa
     if bundle.fibre is not None:
-        table[:, 8:11] = bundle.fibre
-    elif guccione.any() and not materials.bf == materials.bft == materials.bt:
+        table[:, Cell.FIBRE : Cell.STABILISATION] = bundle.fibre
+    elif body.any() and law.directed(constants):
         raise AnatomyError("The bundle has no fibres (cell array 'fibre' of wall.vtu); the anisotropic law needs them.")
     if bundle.order == 1:
         # 1 / (2 mu) of the law at rest steadies equal-order pressures
-        mean_b = (materials.bf + materials.bft + materials.bt) / 3.0
-        table[:, 11] = np.where(guccione, 1.0 / (table[:, 1] * table[:, 2] * mean_b), 1.0 / (4.0 * table[:, 1]))
+        c, alpha = table[:, Cell.C], table[:, Cell.ALPHA]
+        table[:, Cell.STABILISATION] = 1.0 / np.where(body, law.modulus(c, alpha, constants), rings.modulus(c, alpha, constants))
     return table

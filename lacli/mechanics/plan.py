@@ -12,6 +12,7 @@ from lacli.contracts.bundle import Bundle
 from lacli.contracts.case import Case, Phase, Plan
 from lacli.contracts.identity import run_key
 from lacli.contracts.labels import EPI, REGIONS, RINGS, is_body
+from lacli.contracts.laws import LAWS
 from lacli.contracts.motion import Motion
 from lacli.contracts.scene import MMHG_KPA, Scene
 from lacli.motion.annulus import scene_motion
@@ -59,14 +60,13 @@ def make_plan(scene: Scene, bundle: Bundle, motion: Motion | None) -> Plan:
         vein_springs=veins,
         pericardium=pericardium,
         outward_only=scene.pericardium.outward_only,
-        fibres=scene.materials.law == "guccione",
         sensitivities=scene.outputs.sensitivities and not backward,
         phases=_phases(scene, motion),
     )
 
 
 def _title(scene: Scene, moving: bool, veins: bool, pericardium: bool) -> str:
-    parts = [f"pressure {scene.loads.edp_mmhg:g} to {scene.loads.esp_mmhg:g} mmHg", scene.materials.law.replace("_", "-")]
+    parts = [f"pressure {scene.loads.edp_mmhg:g} to {scene.loads.esp_mmhg:g} mmHg", LAWS[scene.materials.law].title]
     parts += ["annulus moves"] if moving else ["ring held"]
     parts += ["vein springs"] if veins else []
     parts += ["pericardium"] if pericardium else []
@@ -137,7 +137,7 @@ def describe(scene: Scene, bundle: Bundle) -> list[tuple[str, bool, str]]:
     materials, loads = scene.materials, scene.loads
     regional = not (materials.c_kpa.uniform and materials.alpha.uniform)
     return [
-        ("wall", True, f"{materials.law.replace('_', '-')}, P{scene.numerics.order} displacements, P1 pressure"),
+        ("wall", True, f"{LAWS[materials.law].title}, P{scene.numerics.order} displacements, P1 pressure"),
         ("regional stiffness", regional, "the regions differ" if regional else "one stiffness everywhere"),
         (
             "unloading",

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from lacli.base.documents import read_json
-from lacli.base.errors import InputError, SimulationError, StorageError, UsageError
+from lacli.base.errors import InputError, SimulationError, SolverMissingError, StorageError, UsageError
 from lacli.base.files import check_folder, write_json, write_text
 from lacli.contracts.case import Case
 from lacli.contracts.identity import run_key
@@ -44,13 +44,21 @@ def run_scene(scene: Scene, root: Path, on_progress: OnProgress | None = None) -
     Raises AnatomyError, SceneError, SolverMissingError, StorageError.
     """
     case = prepare(scene)
-    with open_run(root, case.key) as run:
+    with open_run(root, case.key, solver=_solver()) as run:
         if run.stored is None:
             written = deck.write(case, run.folder)
             outcome = deck.run(written, on_progress)
             _keep(run, case, written, outcome)
     assert run.stored is not None
     return _result(run.stored, case)
+
+
+def _solver() -> str | None:
+    """FreeFEM's version; None where there is none: stored runs can be looked at all the same."""
+    try:
+        return find().version
+    except SolverMissingError:
+        return None
 
 
 def _result(stored: StoredRun, case: Case) -> RunResult:

@@ -10,7 +10,6 @@ with its kind, and counts; one that the machine ended (``lacli.contracts.failure
 from __future__ import annotations
 
 import contextlib
-import json
 import logging
 import os
 import platform
@@ -30,9 +29,10 @@ from lacli.base.files import room, storing, write_json
 from lacli.base.processes.locks import lock
 from lacli.base.version import __version__
 from lacli.contracts.failures import of_the_machine
-from lacli.contracts.identity import file_digest
+from lacli.contracts.identity import content_hash, file_digest
 
 _logger = logging.getLogger(__name__)
+_SEAL = "digest"  # of the manifest's own content
 _ALWAYS_READ = 1 << 18  # bytes; a smaller product's content is compared whenever its run is found (0.2 ms)
 
 
@@ -114,21 +114,23 @@ class OpenRun:
             shutil.rmtree(self.folder, ignore_errors=True)
             self.stored = StoredRun(self.key, final, manifest)
             return self.stored
-        write_json(self.folder / "manifest.json", manifest)
+        manifest = read_json(_written(self.folder / "manifest.json", manifest))
+        write_json(self.folder / "manifest.json", {**manifest, _SEAL: content_hash(manifest)})
         with storing(final):
             _make_way(final)
             self.folder.rename(final)
         self.folder = final
-        self.stored = StoredRun(self.key, final, json.loads((final / "manifest.json").read_text(encoding="utf-8")))
+        self.stored = StoredRun(self.key, final, manifest)
         return self.stored
 
 
 @contextlib.contextmanager
-def open_run(root: Path, key: str, *, retry_failed: bool = False) -> Iterator[OpenRun]:
+def open_run(root: Path, key: str, *, retry_failed: bool = False, solver: str | None = None) -> Iterator[OpenRun]:
     """Lock the key (``lacli.contracts.identity.run_key``) below ``root`` and give an empty folder to write into.
 
     If the run has ended before, ``stored`` is set and nothing is to be done. Failed runs count as ended, or none of them
-    with ``retry_failed``. A second process waits here until the first has finished.
+    with ``retry_failed``. solver: FreeFEM's version; a run of another is made again, with a word (None: whichever made it).
+    A second process waits here until the first has finished.
     A block that ends without ``finish`` (an error, Ctrl-C) leaves nothing; a full disk becomes StorageError.
     """
     with storing(root):
@@ -136,6 +138,8 @@ def open_run(root: Path, key: str, *, retry_failed: bool = False) -> Iterator[Op
     with room(root / key), lock(root / ".locks" / key, "which does the same simulation"):
         _sweep(root, key)
         stored, trouble = _examine(root, key)
+        if stored is not None and (other := _of_another(stored, solver)):
+            stored, trouble = None, other
         if trouble:
             _logger.warning("%s: %s; the run is made again.", root / key, trouble)
         if stored is not None and (stored.status == "done" or not retry_failed):
@@ -170,6 +174,9 @@ def _examine(root: Path, key: str) -> tuple[StoredRun | None, str]:
         manifest = read_json(folder / "manifest.json") if folder.is_dir() else None
         if manifest is None:
             return None, ""
+        seal = manifest.pop(_SEAL, None)  # runs of earlier versions have none
+        if seal is not None and seal != content_hash(manifest):
+            return None, "manifest.json was changed since it was written"
         if manifest["key"] != key or manifest["status"] not in ("done", "failed") or of_the_machine(manifest["kind"]):
             return None, "it was ended by the machine" if of_the_machine(manifest["kind"]) else "manifest.json is not this run's"
         if manifest["status"] == "done":
@@ -181,6 +188,18 @@ def _examine(root: Path, key: str) -> tuple[StoredRun | None, str]:
         return None, str(error).removeprefix(f"{folder}/").rstrip(".")
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         return None, f"manifest.json cannot be read ({error})"
+
+
+def _of_another(run: StoredRun, solver: str | None) -> str:
+    """Which other FreeFEM made the run, in words; '' where this one did, or it is not known."""
+    versions = run.manifest.get("versions")
+    made = versions.get("freefem") if isinstance(versions, dict) else None
+    return f"it was made with FreeFEM {made}, this is {solver}" if solver and made and made != solver else ""
+
+
+def _written(file: Path, manifest: dict[str, Any]) -> Path:
+    write_json(file, manifest)
+    return file
 
 
 def _trouble(folder: Path, manifest: dict[str, Any], name: str, whole: bool) -> str:

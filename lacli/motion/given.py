@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from lacli.anatomy.inputs import extraction, image
+from lacli.anatomy.inputs import extraction, image, surfacefile
 from lacli.anatomy.surface_features import Endocardium
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import InputError, UsageError
@@ -64,17 +63,9 @@ def _from_fields(bundle: Bundle, paths: Sequence[Path], frame: str, monitor: Mon
 
 
 def _read_surface(path: Path, frame: str) -> tuple[FloatArray, IntArray]:
-    import pyvista as pv
-
     if not path.is_file():
         raise InputError(f"{path}: no such frame.")
-    try:
-        mesh: Any = pv.read(path)
-        mesh = mesh if isinstance(mesh, pv.PolyData) else mesh.extract_surface()
-        points = np.asarray(mesh.points, dtype=np.float64)
-        faces = np.asarray(mesh.triangulate().faces.reshape(-1, 4)[:, 1:], dtype=np.int64)
-    except Exception as error:  # readers raise all sorts of things on damaged files
-        raise InputError(f"{path}: the surface cannot be read ({type(error).__name__}: {error}).") from None
+    points, faces = surfacefile.read(path)
     if not len(points) or len(points) > _MOST_POINTS or not np.isfinite(points).all():
         raise InputError(f"{path}: the surface has no points, too many, or some that are not finite.")
     return (points * [-1.0, -1.0, 1.0] if frame == "ras" else points), faces

@@ -6,7 +6,6 @@ process of its own, because a graphics library without a working driver may end 
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -17,6 +16,7 @@ import numpy as np
 import pandas as pd
 
 from lacli.base.arrays import FloatArray
+from lacli.base.documents import read_json
 from lacli.base.errors import LacliError
 from lacli.base.files import replacing
 from lacli.contracts.labels import BODY_REGIONS, REGION_COLOURS
@@ -59,7 +59,7 @@ def draw_apart(folder: Path, bundle: Path, images: Sequence[str]) -> tuple[list[
 def transients(folder: Path, picture: Path) -> Path:
     """Volume (mL) and regional features against time, phases shaded, a band of 2 sd around each course."""
     frame = pd.read_csv(folder / "transients.csv")
-    info = json.loads((folder / "tracking.json").read_text(encoding="utf-8"))
+    info = read_json(folder / "tracking.json")
     phases, sd = info["phases"], info["sd"]
     time = np.append(frame["time"], 1.0)
     fine = np.linspace(0.0, 1.0, 201)
@@ -121,7 +121,7 @@ def _series(folder: Path) -> list[Any]:
 
 
 def _es_frame(folder: Path) -> int:
-    info = json.loads((folder / "tracking.json").read_text(encoding="utf-8"))
+    info = read_json(folder / "tracking.json")
     return int(np.argmin(np.abs(np.array(info["times"]) - info["phases"]["es"])))
 
 
@@ -171,7 +171,7 @@ def animation(folder: Path, picture: Path) -> Path:
     from scipy.interpolate import CubicSpline
 
     meshes = _series(folder)
-    times = np.array(json.loads((folder / "tracking.json").read_text(encoding="utf-8"))["times"])
+    times = np.array(read_json(folder / "tracking.json")["times"])
     points = np.stack([np.asarray(m.points, dtype=np.float64) for m in meshes])
     spline = CubicSpline(np.append(times, 1.0), np.concatenate([points, points[:1]]), axis=0, bc_type="periodic")
     most = float(np.linalg.norm(points - points[0], axis=2).max()) or 1.0

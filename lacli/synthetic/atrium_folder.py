@@ -11,8 +11,10 @@ from typing import Any
 from lacli.anatomy.inputs.image import write
 from lacli.base.documents import read_json
 from lacli.base.errors import AnatomyError, InputError
+from lacli.base.files import write_json
 from lacli.contracts.bundle import check, check_replaceable, save
 from lacli.contracts.motion import save_motion
+from lacli.synthetic import kept
 from lacli.synthetic.atrium import synthesize
 from lacli.synthetic.image import images
 
@@ -44,6 +46,8 @@ def write_atrium(seed: int, folder: Path, wanted: dict[str, Any], voxel_mm: floa
                 info["image"] = _images(seed, wanted, voxel_mm, partial)
             save(replace(bundle, info=info), partial)
             save_motion(motion, partial)
+            info[kept.FILES] = kept.digests(partial, "anatomy.json")
+            write_json(partial / "anatomy.json", info)
             if folder.exists():
                 shutil.rmtree(folder)
             partial.replace(folder)
@@ -76,7 +80,7 @@ def _images(seed: int, wanted: dict[str, Any], voxel_mm: float, folder: Path) ->
 def _finished(folder: Path, made_from: dict[str, Any]) -> dict[str, Any] | None:
     """The description of a folder that was made from the same options; None where there is none.
 
-    Raises AnatomyError where the folder holds something else: it is not ours to replace.
+    Raises AnatomyError where the folder holds something else, or was changed since: it is not ours to replace.
     """
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return None
@@ -88,4 +92,7 @@ def _finished(folder: Path, made_from: dict[str, Any]) -> dict[str, Any] | None:
             f"{folder} exists and was not written by `lacli synthesize`; choose another folder or remove it."
         ) from error
     complete = all((folder / name).is_file() for name in ("wall.vtu", "boundary.vtp", "motion.npz"))
-    return info if same and complete else None
+    if not (same and complete):
+        return None
+    kept.check(folder, info)
+    return dict(info)

@@ -16,6 +16,7 @@ import pandas as pd
 from lacli.anatomy.inputs import image as images
 from lacli.anatomy.surface_features import Endocardium
 from lacli.base.arrays import FloatArray
+from lacli.base.documents import read_json
 from lacli.base.errors import AnatomyError
 from lacli.base.files import write_json, write_text
 from lacli.contracts.bundle import Bundle, check_replaceable, load, save
@@ -24,7 +25,7 @@ from lacli.contracts.scene import dump_scene
 from lacli.motion.annulus import annulus_points, descend
 from lacli.motion.phases import phases_of, volume_spline
 from lacli.motion.store import write_series
-from lacli.synthetic import cycle, gated
+from lacli.synthetic import cycle, gated, kept
 from lacli.synthetic.atrium import synthesize
 from lacli.synthetic.gated import Acquisition
 
@@ -83,12 +84,13 @@ def finished(folder: Path, made_from: dict[str, Any]) -> dict[str, Any] | None:
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return None
     try:
-        info = json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))
+        info = read_json(folder / DESCRIPTION, error=AnatomyError)
         same = all(info[name] == json.loads(json.dumps(value)) for name, value in made_from.items())
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (AnatomyError, KeyError, TypeError) as error:
         raise AnatomyError(f"{folder} exists and is no synthetic patient; choose another folder or remove it.") from error
     if not same:
         raise AnatomyError(f"{folder} holds a synthetic patient made from other options; choose another folder or remove it.")
+    kept.check(folder, info)
     return dict(info)
 
 
@@ -128,6 +130,7 @@ def _write(
         "parameters": parameters,
     }
     info |= {"rr_ms": 60000.0 / heart_rate, "frame_times_ms": (acquisition.times * 60000.0 / heart_rate).tolist()}
+    info[kept.FILES] = kept.digests(folder, DESCRIPTION)
     write_json(folder / DESCRIPTION, info)
     return info
 

@@ -15,14 +15,16 @@ from lacli.base import resources
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import SimulationError
 from lacli.contracts.bundle import Bundle
+from lacli.contracts.laws import NUMBER
 from lacli.freefem import run as freefem
 from lacli.freefem.files import CELL_ORDER, write_arrays, write_faces, write_medit
 from lacli.freefem.program import find
 from lacli.freefem.template import render_template
 from lacli.mechanics.engine import plugin
+from lacli.mechanics.inputs import CELL_COLUMNS, Cell
 
 TIMEOUT_S = 1800.0
-GUCCIONE, NEO_HOOKEAN = 0, 1
+GUCCIONE, NEO_HOOKEAN = NUMBER["guccione"], NUMBER["neo_hookean"]
 # kinds of faces and tasks of the engine
 PRESSURE, VEINS, PERICARDIUM, PERICARDIUM_OUTWARD = 0, 1, 2, 3
 RESIDUAL, SYMMETRIC, UNSYMMETRIC, INVERSE, PRESTRAIN_RESIDUAL, PRESTRAIN = 0, 1, 2, 3, 4, 5
@@ -64,15 +66,15 @@ def compare(
 def material(
     law: int,
     c: float,
-    b: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    constants: Sequence[float] = (1.0, 1.0, 1.0),
     kappa_points: float = 0.0,
     kappa_field: float = 0.0,
     alpha: float = 1.0,
     fibre: tuple[float, float, float] = (1.0, 0.0, 0.0),
 ) -> FloatArray:
-    """(12,) one row of the engine's materials: c, kappas in kPa; b = (bf, bft, bt). ``kappa_field`` 0 is the
+    """(12,) one row of the engine's materials: c, kappas in kPa; the law's three constants. ``kappa_field`` 0 is the
     incompressible material, its pressure field a Lagrange multiplier."""
-    return np.array([law, c, alpha, *b, kappa_points, kappa_field, *fibre, 0.0])
+    return np.array([law, c, alpha, *constants, kappa_points, kappa_field, *fibre, 0.0])
 
 
 @dataclass(frozen=True)
@@ -256,7 +258,7 @@ def respond(materials: FloatArray, F: FloatArray, p: FloatArray) -> tuple[FloatA
     with tempfile.TemporaryDirectory(prefix="lacli-verify-") as name:
         folder = Path(name)
         write_arrays(folder / "law.txt", materials, np.column_stack([F.reshape(-1, 9), p]))
-        outcome = _run("verification_law.edp.j2", folder)
+        outcome = _run("verification_law.edp.j2", folder, material=Cell.STABILISATION.value)
         table = np.loadtxt(folder / "response.txt").reshape(len(F), 118)
     return (
         table[:, 0],
@@ -271,7 +273,7 @@ def _write_mesh(bundle: Bundle, materials: FloatArray, folder: Path) -> None:
     write_medit(folder / "wall.mesh", bundle.points, bundle.tets, bundle.region, bundle.triangles, bundle.tags)
     write_arrays(folder / "cells.txt", bundle.tets[:, CELL_ORDER] if bundle.order == 2 else bundle.tets)
     write_arrays(folder / "points.txt", bundle.points.T)
-    write_arrays(folder / "materials.txt", np.broadcast_to(materials, (len(bundle.tets), 12)))
+    write_arrays(folder / "materials.txt", np.broadcast_to(materials, (len(bundle.tets), CELL_COLUMNS)))
 
 
 def _run(template: str, folder: Path, **choices: Any) -> freefem.Outcome:

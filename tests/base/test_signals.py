@@ -47,6 +47,34 @@ while True:
     Slow()
     time.sleep(0.1)
 """,
+    # what fails because we are on the way out is no news
+    "with a thread that fails": """
+import threading, time
+over = threading.Event()
+def work():
+    over.wait()
+    raise ValueError("a consequence")
+thread = threading.Thread(target=work)
+thread.start()
+print('ready', flush=True)
+try:
+    time.sleep(60)
+finally:
+    over.set()
+    thread.join()
+""",
+    "with a destructor that fails": """
+import time
+class Bad:
+    def __del__(self):
+        raise ValueError("a consequence")
+bad = Bad()
+print('ready', flush=True)
+try:
+    time.sleep(60)
+finally:
+    del bad
+""",
     # a library that swallows what is not its own
     "swallowed": """
 import time

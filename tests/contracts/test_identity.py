@@ -289,8 +289,9 @@ def test_a_region_and_a_chain_are_told_by_all_that_is_in_their_density(emulators
 @pytest.mark.parametrize("kind", sorted(METHODS))
 def test_another_method_or_version_is_another_thing(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     before = identify(kind, made_from=1)
-    monkeypatch.setitem(identity.METHODS, kind, METHODS[kind] + 1)
-    assert differences(before, identify(kind, made_from=1)) == ["method was 1, is 2"]
+    number = METHODS[kind]
+    monkeypatch.setitem(identity.METHODS, kind, number + 1)
+    assert differences(before, identify(kind, made_from=1)) == [f"method was {number}, is {number + 1}"]
     monkeypatch.setattr(identity, "__version__", "99")
     assert any(words.startswith("lacli was ") for words in differences(before, identify(kind, made_from=1)))
 
@@ -396,10 +397,38 @@ def test_a_manifest_of_sizes_alone_is_read_as_before(scene_of: SceneOf, tmp_path
     stored(scene, root)
     file = root / run_key(scene) / "manifest.json"
     manifest = json.loads(file.read_text())
-    assert set(manifest.pop("sha256")) == set(PRODUCTS)
+    assert set(manifest.pop("sha256")) == set(PRODUCTS) and manifest.pop("digest")
     write_json(file, manifest)
     run = find_run(root, run_key(scene))
     assert run is not None
     check_products(run, PRODUCTS)
     (run.folder / "features.json").write_text("{}")
     assert find_run(root, run.key) is None
+
+
+@pytest.mark.parametrize("name", ["status", "kind", "message", "started", "wall_s", "products", "sha256", "versions", "machine"])
+def test_a_manifest_that_was_edited_is_no_result(scene_of: SceneOf, tmp_path: Path, name: str) -> None:
+    scene, root = scene_of(), tmp_path / "runs"
+    stored(scene, root)
+    file = root / run_key(scene) / "manifest.json"
+    manifest = json.loads(file.read_text())
+    old = manifest[name]
+    manifest[name] = {**old, "x": 1} if isinstance(old, dict) else f"{old} and more"
+    write_json(file, manifest)
+    assert find_run(root, run_key(scene)) is None
+
+
+def test_a_run_of_another_freefem_is_made_again_and_says_so(
+    scene_of: SceneOf, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    scene, root = scene_of(), tmp_path / "runs"
+    with open_run(root, run_key(scene), solver="4.9") as run:
+        (run.folder / "features.json").write_text("{}")
+        run.finish("done", products=["features.json"], versions={"freefem": "4.9"})
+    for same in ("4.9", None):  # None: no FreeFEM here, what is stored can be looked at all the same
+        with open_run(root, run_key(scene), solver=same) as run:
+            assert run.stored is not None
+    assert not caplog.text
+    with open_run(root, run_key(scene), solver="4.15") as run:
+        assert run.stored is None
+    assert "it was made with FreeFEM 4.9, this is 4.15; the run is made again" in caplog.text

@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from lacli.freefem.program import FreeFem
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -23,12 +25,12 @@ def copy(tmp_path: Path) -> Path:
     return tmp_path / "copy"
 
 
-def _python(copy: Path, *words: str) -> str:
+def _python(copy: Path, *words: str, code: int = 0) -> str:
     environment = os.environ | {"PYTHONPATH": str(copy)}
     done = subprocess.run(
-        [sys.executable, *words], cwd=copy, env=environment, capture_output=True, text=True, timeout=300, check=False
+        [sys.executable, *words], cwd=copy, env=environment, capture_output=True, text=True, timeout=600, check=False
     )
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == code, done.stderr
     return done.stdout
 
 
@@ -61,3 +63,34 @@ def test_a_feature_is_two_lines_in_two_files(copy: Path) -> None:
     )
     value, unit = _python(copy, "-c", script).split()
     assert float(value) == pytest.approx(2.5) and unit == "mm"  # a shift by 2.5 mm along z
+
+
+@pytest.mark.slow
+def test_a_law_is_two_files(copy: Path, freefem: FreeFem) -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    header, entry = re.search(r"```cpp\n(.*?)```", text, re.DOTALL), re.search(r"```python\n(Law\(.*?\n\))\n```", text, re.DOTALL)
+    assert header and entry
+    (copy / "solvers/freefem/plugin/laws/demiray.hpp").write_text(header[1], encoding="utf-8")
+    table = copy / "lacli/contracts/laws.py"
+    before, end, after = table.read_text(encoding="utf-8").partition(")\n\nLAWS: ")
+    table.write_text(before + entry[1] + ",\n" + end + after, encoding="utf-8")
+    checks = json.loads(_python(copy, "-m", "lacli", "verify", "law", "--json"))
+    errors = {check["quantity"]: check["error"] for check in checks if check["quantity"].startswith("demiray")}
+    # central differences of fourth order with h = 5e-4: h^4 W^(5) / 30 and rounding eps / h both stay below 1e-9
+    assert errors.keys() == {"demiray_energy", "demiray_stress", "demiray_tangent"}
+    assert max(errors.values()) < 1e-9
+    # another exponent in the header alone is found
+    wrong = header[1].replace("s = m.c * std::exp(Q)", "s = m.c * std::exp(1.001 * Q)")
+    assert wrong != header[1]
+    (copy / "solvers/freefem/plugin/laws/demiray.hpp").write_text(wrong, encoding="utf-8")
+    failed = _python(copy, "-m", "lacli", "verify", "law", "--json", code=1)
+    assert {check["quantity"] for check in json.loads(failed) if not check["passed"]} >= {"demiray_stress"}
+    # the scene knows the law and its constant, with the range
+    (copy / "scene.toml").write_text('[anatomy]\nbundle = "atrium"\n[materials]\nlaw = "demiray"\nbeta = 4.0\n', encoding="utf-8")
+    _python(copy, "-m", "lacli", "synthesize", "atrium", "--cell-size-mm", "8", "--order", "1")
+    said = _python(copy, "-m", "lacli", "simulate", "scene.toml", "--set", "numerics.order=1", "--dry-run", "--json")
+    assert "demiray" in said
+    run = ("simulate", "scene.toml", "--set", "numerics.order=1", "--set", "loads.edp_mmhg=0", "--set", "loads.esp_mmhg=3")
+    (copy / "solvers/freefem/plugin/laws/demiray.hpp").write_text(header[1], encoding="utf-8")
+    result = json.loads(_python(copy, "-m", "lacli", *run, "--json"))
+    assert result["features"]["esv_ml"] > result["features"]["edv_ml"]

@@ -8,6 +8,7 @@ from lacli.contracts.tables.table import RunTable
 from lacli.contracts.targets import Targets
 from lacli.inference.box import make_box
 from lacli.inference.design import design, farthest
+from lacli.inference.emulation import feasibility
 from lacli.inference.emulation.emulator import fit_emulators
 from lacli.inference.emulation.emulator_set import EmulatorSet
 from lacli.inference.emulation.feasibility import learn
@@ -123,6 +124,19 @@ def test_failures_are_learnt_and_avoided():
     share = [(c[:, 0] + c[:, 1] > 0.8).mean() for c in (chosen, blind)]
     assert share[0] < 0.25 * share[1]
     assert learn(BOX, x, x[:2]) is None
+
+
+def test_very_many_runs_are_learnt_from_in_bounded_time(monkeypatch):
+    """Of 5,000 runs, 100 are taken and no more; the few failures among them are not lost."""
+    monkeypatch.setattr(feasibility, "_MOST_RUNS", 100)
+    x = BOX.uniform(5000, np.random.default_rng(0))
+    edge = BOX.lower[0] + 0.9 * (BOX.upper[0] - BOX.lower[0])
+    fails = x[:, 0] > edge
+    model = learn(BOX, x[~fails], x[fails])
+    assert model.used == len(model.classifier.base_estimator_.X_train_) == 100
+    assert f"{fails.sum()} of 5000 runs failed (learnt from 100 of them" in model.describe()
+    asked = BOX.uniform(400, np.random.default_rng(1))
+    assert (model.accept(asked) == (asked[:, 0] > edge)).mean() < 0.1
 
 
 def correlated(rho, targets=("y0", "y1"), sd=(0.2, 0.4)):

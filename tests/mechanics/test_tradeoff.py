@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -49,6 +50,23 @@ def test_errors_that_do_not_say_what_was_measured_are_not_used(tmp_path: Path) -
     accuracy.record(scene(tmp_path, 1), {"d_roof_mm": 0.9}, scene(tmp_path, 2))
     assert accuracy.known_errors(scene(tmp_path, 2)) == {"d_roof_mm": 0.2}
     assert accuracy.known_errors(scene(tmp_path, 1)) == {"d_roof_mm": 0.9}
+
+
+@pytest.mark.parametrize("change", ["value", "name", "seal", "measured"])
+def test_errors_that_were_edited_are_refused(tmp_path: Path, change: str) -> None:
+    file = bundle(tmp_path) / accuracy.FILE
+    accuracy.record(scene(tmp_path, 2), {"d_roof_mm": 0.2}, scene(tmp_path, 2))
+    document = json.loads(file.read_text())
+    (entry,) = document["entries"].values()
+    if change == "seal":
+        del entry["digest"]
+    elif change == "measured":
+        entry["measured"]["lacli"] = "99"
+    else:
+        entry["errors"] = {"d_roof_mm": 0.02} if change == "value" else {"d_septum_mm": 0.2}
+    file.write_text(json.dumps(document))
+    with pytest.raises(InputError, match=r"accuracy\.json: cannot be read \(the errors .* were changed.*lacli tradeoff"):
+        accuracy.known_errors(scene(tmp_path, 2))
 
 
 def test_the_cheapest_good_choice_is_recommended() -> None:

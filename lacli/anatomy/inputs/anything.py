@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lacli.anatomy.inputs import carp, solid, surfacefile
+from lacli.anatomy.inputs import apart, carp, solid, surfacefile
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import InputError
 
@@ -40,11 +40,12 @@ def read(path: Path) -> Mesh:
         if mesh.kind == "Tt":
             return _wall(points, mesh.cells, mesh.tag)
         return Mesh(points, mesh.cells, mesh.tag)
-    grid = _tetrahedra(path)
-    if grid is not None:
-        return _wall(*grid)
-    points, triangles = surfacefile.read(path)
-    return Mesh(points, triangles, _tags(path, len(triangles)))
+    found = apart.content(path, "surface")
+    tag = _tag(found)
+    if len(found["tets"]):
+        return _wall(*_tetrahedra(path, found, tag))
+    points, triangles = surfacefile.checked(path, found)
+    return Mesh(points, triangles, tag if tag is not None and len(tag) == len(triangles) else None)
 
 
 def _wall(points: FloatArray, tets: IntArray, tag: IntArray) -> Mesh:
@@ -54,52 +55,18 @@ def _wall(points: FloatArray, tets: IntArray, tag: IntArray) -> Mesh:
     return Mesh(points, triangles, tags, (words,), outer)
 
 
-def _open(path: Path) -> Any:
-    """The data set, None where it cannot be read (the surface reader says why)."""
-    import pyvista as pv
-    import vtk
-
-    vtk.vtkObject.GlobalWarningDisplayOff()
-    verbosity = vtk.vtkLogger.GetCurrentVerbosityCutoff()
-    vtk.vtkLogger.SetStderrVerbosity(vtk.vtkLogger.VERBOSITY_OFF)
-    try:
-        return pv.read(path)
-    except Exception:  # readers raise all sorts of things on damaged files
-        return None
-    finally:
-        vtk.vtkLogger.SetStderrVerbosity(vtk.vtkLogger.ConvertToVerbosity(verbosity))
-
-
-def _tetrahedra(path: Path) -> tuple[FloatArray, IntArray, IntArray] | None:
-    if path.suffix.lower() not in (".vtk", ".vtu") or not path.is_file():
-        return None
-    data = _open(path)
-    cells = getattr(data, "cells_dict", None)
-    if not cells:
-        return None
-    kinds = {10: 4, 24: 10}  # VTK_TETRA, VTK_QUADRATIC_TETRA
-    found = [k for k in kinds if k in cells]
-    if not found:
-        return None
-    kind = found[0]
-    tets = np.asarray(cells[kind], dtype=np.int64)[:, :4]
-    mine = np.asarray(data.celltypes) == kind
-    tag = _array(data)
-    points = np.asarray(data.points, dtype=np.float64)
+def _tetrahedra(path: Path, found: dict[str, Any], tag: IntArray | None) -> tuple[FloatArray, IntArray, IntArray]:
+    points, tets = found["grid_points"], found["tets"]
+    if tets.min() < 0 or tets.max() >= len(points):
+        raise InputError(f"{path}: a cell names a point that does not exist; export the file again.")
     if not np.isfinite(points[np.unique(tets)]).all():
         raise InputError(f"{path}: a point has a coordinate that is not finite; export the file again.")
-    return points, tets, np.zeros(len(tets), dtype=np.int64) if tag is None else tag[mine]
+    return points, tets, np.zeros(len(tets), dtype=np.int64) if tag is None else tag
 
 
-def _tags(path: Path, count: int) -> IntArray | None:
-    data = _open(path) if path.suffix.lower() in (".vtk", ".vtp", ".vtu", ".ply") else None
-    tag = None if data is None else _array(data)
-    return tag if tag is not None and len(tag) == count else None
-
-
-def _array(data: Any) -> IntArray | None:
-    for name in data.cell_data:
-        values = np.asarray(data.cell_data[name])
-        if name.lower() in TAG_NAMES and values.ndim == 1 and np.isfinite(values).all() and (values == np.round(values)).all():
+def _tag(found: dict[str, Any]) -> IntArray | None:
+    for i, name in enumerate(found["cell_names"].tolist()):
+        values = found[f"cell_{i}"]
+        if name.lower() in TAG_NAMES and np.isfinite(values).all() and (values == np.round(values)).all():
             return values.astype(np.int64)
     return None

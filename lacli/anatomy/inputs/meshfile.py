@@ -12,16 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from lacli.anatomy.inputs import carp
+from lacli.anatomy.inputs import apart, carp
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import AnatomyError, InputError, UsageError
-from lacli.base.quiet import quiet, reason
+from lacli.base.quiet import quiet
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.labels import ENDO, EPI, OTHER, PLANES, REGIONS, RINGS, is_body
 
 # meshio writes these without a tetrahedron, or as pictures
 _NO_CELLS = frozenset([".stl", ".ply", ".obj", ".off", ".svg", ".tikz", ".wkt", ".post", ".gz", ".hmf"])
-FIBRE_NAMES = ("fibre", "fiber", "fibres", "fibers", "Fibre", "fibre_direction")
 
 
 def write(bundle: Bundle, path: Path) -> None:
@@ -117,32 +116,8 @@ def read_fibres(path: Path) -> tuple[FloatArray, FloatArray]:
             raise InputError(f"{path}: there is no .lon file beside the mesh.")
         centre, fibre = mesh.points[mesh.cells].mean(axis=1), mesh.fibre
     else:
-        if not path.is_file():
-            raise InputError(f"{path}: no such file.")
-        try:
-            with quiet(meshio=True):
-                data = meshio.read(path)
-        except (Exception, SystemExit) as error:  # meshio ends the program on some formats
-            raise InputError(f"{path}: the mesh cannot be read ({reason(error)}).") from None
-        name = next((n for n in FIBRE_NAMES if n in data.cell_data), None)
-        if name is None:
-            raise InputError(
-                f"{path}: no cell array named {', '.join(FIBRE_NAMES)}; it has {', '.join(data.cell_data) or 'none'}."
-            )
-        pairs = [
-            (b, v) for b, v in zip(data.cells, data.cell_data[name], strict=True) if b.type in ("tetra", "tetra10", "triangle")
-        ]
-        if not pairs:
-            raise InputError(f"{path}: no tetrahedra or triangles carry fibres.")
-        width = {"tetra": 4, "tetra10": 4, "triangle": 3}
-        centre = np.concatenate([data.points[b.data[:, : width[b.type]]].mean(axis=1) for b, _ in pairs])
-        fibres = [np.asarray(v) for _, v in pairs]
-        if any(v.ndim != 2 or v.shape[1] != 3 or v.dtype.kind not in "fiu" for v in fibres):
-            shape = next(v.shape for v in fibres if v.ndim != 2 or v.shape[1] != 3 or v.dtype.kind not in "fiu")
-            raise InputError(f"{path}: '{name}' must have three components for each cell, its shape is {shape}.")
-        if any(b.data.min() < 0 or b.data.max() >= len(data.points) for b, _ in pairs):
-            raise InputError(f"{path}: a cell names a point that does not exist; export the file again.")
-        fibre = np.concatenate(fibres).astype(float)
+        found = apart.content(path, "fibres")
+        centre, fibre = found["centre"], found["fibre"]
     if not np.isfinite(centre).all() or np.abs(centre).max() > carp.FURTHEST_MM:
         raise InputError(f"{path}: a point of the mesh is not finite, or further away than a heart can be.")
     with quiet():

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from lacli.anatomy.inputs import apart
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import AnatomyError, InputError
 
@@ -18,31 +20,12 @@ def read(path: Path) -> tuple[FloatArray, IntArray]:
 
     Raises InputError where the file is missing, damaged, or holds no triangle.
     """
-    import pyvista as pv
-    import vtk
+    return checked(path, apart.content(path, "surface"))
 
-    if not path.is_file():
-        raise InputError(f"{path}: no such file.")
-    if path.stat().st_size == 0:
-        raise InputError(f"{path}: the file is empty; export it again.")
-    vtk.vtkObject.GlobalWarningDisplayOff()
-    verbosity = vtk.vtkLogger.GetCurrentVerbosityCutoff()
-    vtk.vtkLogger.SetStderrVerbosity(vtk.vtkLogger.VERBOSITY_OFF)  # some readers warn past the switch above
-    try:
-        data = pv.read(path)
-        if not isinstance(data, pv.PolyData):
-            data = data.extract_surface(algorithm="dataset_surface")
-        data = data.triangulate()
-        points = np.asarray(data.points, dtype=np.float64)
-        faces = data.regular_faces if data.n_cells else np.zeros((0, 3))
-    except Exception as error:  # readers raise all sorts of things on damaged files
-        raise InputError(
-            f"{path}: the surface cannot be read, the file may be truncated or of another format "
-            f"({type(error).__name__}: {str(error)[:200]})."
-        ) from None
-    finally:
-        vtk.vtkLogger.SetStderrVerbosity(vtk.vtkLogger.ConvertToVerbosity(verbosity))
-    triangles = np.asarray(faces, dtype=np.int64).reshape(-1, 3)
+
+def checked(path: Path, found: dict[str, Any]) -> tuple[FloatArray, IntArray]:
+    """Points and triangles of what was read apart. Raises InputError where there are none, or they do not fit together."""
+    points, triangles = found["points"], found["triangles"]
     if len(triangles) == 0 or len(points) == 0:
         raise InputError(f"{path}: the file holds no triangles; it may be truncated, or hold points or lines only.")
     if triangles.min() < 0 or triangles.max() >= len(points):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from lacli.anatomy.coordinates.frame import frame_from_openings, height, sectors
 from lacli.anatomy.openings import closing
 from lacli.anatomy.openings.caps import Plate, extrude_plate, rim_loops, triangulate_loop
 from lacli.base.arrays import FloatArray, IntArray
+from lacli.base.documents import read_json
 from lacli.base.errors import AnatomyError
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.labels import ENDO, EPI, OPENINGS, OTHER, PLANES, RINGS, is_plane, is_ring
@@ -83,7 +83,7 @@ def read_mesh(tets_file: Path, surfaces_file: Path, names_json: Path, chamber: s
     try:
         volume = meshio.read(tets_file)
         surface = pv.read(surfaces_file)
-        names = {int(k): str(v) for k, v in json.loads(names_json.read_text())["_surface_id_to_name"].items()}
+        names = {int(k): str(v) for k, v in read_json(names_json)["_surface_id_to_name"].items()}
     except Exception as error:  # readers raise all sorts of things on damaged files
         raise AnatomyError(f"{tets_file.parent}: the files cannot be read ({type(error).__name__}: {error}).") from error
     points = np.asarray(volume.points, dtype=np.float64)

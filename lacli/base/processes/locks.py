@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from lacli.base.errors import MachineError, StorageError
+from lacli.base.files import storing
 from lacli.base.notes import note
 from lacli.base.processes.process import is_wanted
 
@@ -43,6 +44,16 @@ def lock(path: Path, what: str, wait: bool = True) -> Iterator[bool]:
             path.unlink(missing_ok=True)
         with contextlib.suppress(OSError):
             held.release()
+
+
+@contextlib.contextmanager
+def working_on(out: Path) -> Iterator[None]:
+    """Within the block this process alone fills ``out`` (a table or a folder, its parents made if absent); a second one waits
+    before it, and says for whom. The lock lies beside ``out``, as .lock-NAME. Raises StorageError."""
+    with storing(out):
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with lock(out.with_name(f".lock-{out.name}"), f"which fills {out}"):
+            yield
 
 
 def holder(path: Path) -> str:

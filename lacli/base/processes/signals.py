@@ -43,7 +43,8 @@ def catch() -> None:
     """From here on, in the main thread, signals of CAUGHT raise Stopped; those ignored so far (nohup) stay ignored.
 
     A Stopped that is lost where Python only prints exceptions (``__del__``, weak references, callbacks from C) is raised
-    again. Where none can be raised, because a library does not come back, the process ends all the same, after 2 s.
+    again; what else fails on the way out, there or in threads, is a consequence and not told. Where none can be raised,
+    because a library does not come back, the process ends all the same, after 2 s.
     """
     _State.received, _State.raised, _State.settled = None, False, False
     reader, writer = os.pipe()
@@ -54,7 +55,7 @@ def catch() -> None:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, _on_signal)
     signal.signal(signal.SIGALRM, _on_alarm)
-    sys.unraisablehook, sys.excepthook = _unraisable, _uncaught
+    sys.unraisablehook, sys.excepthook, threading.excepthook = _unraisable, _uncaught, _in_thread
 
 
 def settle() -> None:
@@ -87,6 +88,8 @@ def held() -> Iterator[None]:
 def _on_signal(number: int, frame: FrameType | None) -> None:
     if _State.received is None:
         _State.received = number
+        if (logging := sys.modules.get("logging")) is not None:
+            logging.raiseExceptions = False  # type: ignore[attr-defined]  # a handler that fails now would print where
     if _State.settled:
         _leave(_State.received)
     _raise(frame)
@@ -118,8 +121,13 @@ def _importing(frame: FrameType | None) -> bool:
 def _unraisable(lost: Any) -> None:
     if isinstance(lost.exc_value, Stopped):
         signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
-    else:
+    elif _State.received is None:
         sys.__unraisablehook__(lost)
+
+
+def _in_thread(lost: Any) -> None:
+    if _State.received is None:
+        threading.__excepthook__(lost)
 
 
 def _uncaught(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:

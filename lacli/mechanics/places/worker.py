@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import logging
+import os
 import signal
 import sys
 import threading
@@ -76,10 +77,19 @@ def reporter(send: Callable[[Any], None], every_s: float) -> Callable[[Any], Non
 
 def main() -> None:
     """See the module."""
+    try:
+        _serve()
+    except KeyboardInterrupt:
+        # it has cleaned up: now it ends as whoever sent the signal expects, so that lacli can tell of it
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        os.kill(os.getpid(), signal.SIGINT)
+
+
+def _serve() -> None:
     wire = Wire(Connection(int(sys.argv[1])))
     logging.getLogger("lacli").addHandler(_Notes(wire))
     logging.getLogger("lacli").propagate = False
-    with contextlib.suppress(EOFError, OSError, KeyboardInterrupt):
+    with contextlib.suppress(EOFError, OSError):
         sys.path[:] = wire.pipe.recv()
         do = wire.pipe.recv() or run_scene_of_lacli()
         # Ctrl-C comes from lacli alone, by name, and waits until here

@@ -50,9 +50,15 @@ long laMesh(KN<long> *const &sizes, KN<long> *const &nodes, KN<long> *const &pre
   return P.system.n;
 }
 
-const int CELL_COLUMNS = 12;
+// columns of the table of cells; lacli/mechanics/inputs.py writes them
+enum CellColumn { LAW, STIFFNESS, EXPONENT, CONSTANTS, KAPPA_POINTS = CONSTANTS + 3, KAPPA_FIELD, FIBRE, STABILISATION = FIBRE + 3,
+                  CELL_COLUMNS };
 
-// laCells(per cell: law, C, alpha, bf, bft, bt, kappa at points, kappa on the field, fibre (3), stabilisation; X of the image)
+Material material_of(const double *v) {
+  return {(int)v[LAW], v[STIFFNESS], v[EXPONENT], {v[CONSTANTS], v[CONSTANTS + 1], v[CONSTANTS + 2]}, v[KAPPA_POINTS], v[KAPPA_FIELD]};
+}
+
+// laCells(per cell: CellColumn; X of the image)
 long laCells(KN<double> *const &table, KN<double> *const &image) {
   Model &P = *the;
   ffassert(table->N() == (long)P.nt * CELL_COLUMNS && image->N() == 3L * P.nU);
@@ -61,7 +67,7 @@ long laCells(KN<double> *const &table, KN<double> *const &image) {
   for (int k = 0; k < P.nt; ++k) {
     double v[CELL_COLUMNS];
     for (int j = 0; j < CELL_COLUMNS; ++j) v[j] = (*table)[(long)k * CELL_COLUMNS + j];
-    P.cells[k] = {{(int)v[0], v[1], v[2], v[3] - 2 * v[4] + v[5], v[4] - v[5], v[5], v[6], v[7]}, v[11]};
+    P.cells[k] = {material_of(v), v[STABILISATION]};
     for (int q = 0; q < P.rule.n; ++q) {
       const double *dN = &P.rule.dN[(size_t)q * P.nn * 3];
       Mat H = {}, Hi;
@@ -72,7 +78,7 @@ long laCells(KN<double> *const &table, KN<double> *const &image) {
       if (!(d > 0)) return k + 1;            // the image's own cell is inverted
       inverse(H, d, Hi);
       for (int i = 0; i < 3; ++i)
-        P.fibres[((size_t)k * P.rule.n + q) * 3 + i] = Hi[i][0] * v[8] + Hi[i][1] * v[9] + Hi[i][2] * v[10];
+        P.fibres[((size_t)k * P.rule.n + q) * 3 + i] = Hi[i][0] * v[FIBRE] + Hi[i][1] * v[FIBRE + 1] + Hi[i][2] * v[FIBRE + 2];
     }
   }
   return 0;
@@ -291,13 +297,15 @@ long laWriteRates(string *const &file, KN<long> *const &order, KN<double> *const
   return write_rates(*the, file->c_str(), *order, &(*rates)[0]);
 }
 
-// laLaw(material of laCells' first eight columns and f; (F row by row, p); out: W, P (9), A (81), dP/df (27)): 0 or 1
+// laLaw(CellColumn without the last; (F row by row, p); out: W, P (9), A (81), dP/df (27)): 0 or 1
 long laLaw(KN<double> *const &material, KN<double> *const &state, KN<double> *const &out) {
-  const KN<double> &v = *material;
-  const Material m = {(int)v[0], v[1], v[2], v[3] - 2 * v[4] + v[5], v[4] - v[5], v[5], v[6], v[7]};
+  ffassert(material->N() == STABILISATION);
+  double v[STABILISATION];
+  for (int j = 0; j < STABILISATION; ++j) v[j] = (*material)[j];
+  const Material m = material_of(v);
   Mat F;
   for (int i = 0; i < 9; ++i) F[i / 3][i % 3] = (*state)[i];
-  const double f[3] = {v[8], v[9], v[10]};
+  const double f[3] = {v[FIBRE], v[FIBRE + 1], v[FIBRE + 2]};
   Response r;
   if (!respond(m, F, f, (*state)[9], 2, r)) return 1;
   KN<double> &o = *out;

@@ -72,7 +72,7 @@ inline bool cell_slopes(const TetRule &rule, const CellData &cell, int region, c
           for (int k = 0; k < 3; ++k) M[i][j] += w / law.c * (r.P[i][k] - volumetric * r.Fit[i][k]) * U[k][j];
         }
       add(C_REGION + region, M);
-      if (law.law == 0) {
+      if (r.exponential) {
         for (int i = 0; i < 9; ++i) M[i / 3][i % 3] *= law.c * (1 + r.Q) / law.alpha;
         add(ALPHA_REGION + region, M);
       }
@@ -121,7 +121,7 @@ inline bool cell_slopes(const TetRule &rule, const CellData &cell, int region, c
       for (int d = 0; d < 4; ++d) {
         const double m = cell.stab * (LL[c][d] - meanL[c] * meanL[d] / volume) * p[d];
         if (mine) to[C_REGION + region][4 * c + 3] += m / law.c;
-        if (mine && law.law == 0) to[ALPHA_REGION + region][4 * c + 3] += m / law.alpha;
+        if (mine && r.exponential) to[ALPHA_REGION + region][4 * c + 3] += m / law.alpha;
         for (int input = 0; input < INPUTS; ++input) to[input][4 * c + 3] += m * trace[input];
       }
   return true;
