@@ -172,17 +172,14 @@ def _signature(name: str, verb: Any) -> str:
     """A verb's call, an argument a line behind the first ones."""
     import inspect
 
-    given = list(inspect.signature(verb).parameters.values())
-    first = ", ".join(p.name for p in given if p.kind is not p.KEYWORD_ONLY and p.default is p.empty)
-    more = [f"{p.name}={_shown(p.default)}" for p in given if p.default is not p.empty]
-    lines = [first + ","] if first and more else [first] if first else []
-    if not more:
-        return f"lacli.{name}({first})"
-    return "\n    ".join([f"lacli.{name}(", *lines, *(f"{argument}," for argument in more)]) + "\n)"
+    given = inspect.signature(verb).parameters.values()
+    lines = [p.name if p.default is p.empty else f"{p.name}={_shown(p.default)}" for p in given]
+    short = f"lacli.{name}({', '.join(lines)})"
+    return short if len(lines) < 3 else "\n".join([f"lacli.{name}(", *(f"    {line}," for line in lines), ")"])
 
 
 def _shown(value: Any) -> str:
-    return f'Path("{value}")' if isinstance(value, Path) else repr(value)
+    return f'Path("{value}")' if isinstance(value, Path) else _toml(value) if isinstance(value, str) else repr(value)
 
 
 def features_page() -> str:
