@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from lacli.api.posterior import Posterior, posterior
     from lacli.api.progress import Progress
     from lacli.api.segmentation import segment
-    from lacli.api.study import Report, compare, stats, write_report
+    from lacli.api.study import Cohort, Report, compare, plan_cohort, run_cohort, stats, write_report, write_slurm
     from lacli.base.errors import Cancelled, LacliError
     from lacli.calibration.calibration import Settings as CalibrationSettings
     from lacli.contracts.scene import Scene, load_scene
@@ -41,6 +41,7 @@ __all__ = [
     "Calibrated",
     "CalibrationSettings",
     "Cancelled",
+    "Cohort",
     "Design",
     "Emulation",
     "EmulatorSet",
@@ -78,6 +79,7 @@ __all__ = [
     "make_box",
     "match",
     "mesh",
+    "plan_cohort",
     "posterior",
     "read_box",
     "read_deck",
@@ -86,6 +88,7 @@ __all__ = [
     "read_targets",
     "recover",
     "rerun",
+    "run_cohort",
     "save_emulators",
     "segment",
     "sensitivity",
@@ -97,6 +100,7 @@ __all__ = [
     "verify",
     "write_deck",
     "write_report",
+    "write_slurm",
 ]
 
 _HOMES = {
@@ -110,7 +114,7 @@ _HOMES = {
     "lacli.api.posterior": ("Posterior", "posterior"),
     "lacli.api.progress": ("Progress",),
     "lacli.api.segmentation": ("segment",),
-    "lacli.api.study": ("Report", "compare", "stats", "write_report"),
+    "lacli.api.study": ("Cohort", "Report", "compare", "plan_cohort", "run_cohort", "stats", "write_report", "write_slurm"),
     "lacli.base.errors": ("Cancelled", "LacliError"),
     "lacli.contracts.scene": ("Scene", "load_scene"),
     "lacli.contracts.tables.table": ("RunTable", "read_one", "read_runs"),

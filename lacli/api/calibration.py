@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -65,6 +65,7 @@ def calibrate(
     store: Path | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
+    sensitivities: bool = True,
     fresh: bool = False,
     retry: bool = False,
     figures: bool = False,
@@ -76,7 +77,8 @@ def calibrate(
     Targets and inputs are in the units of their names. scene: what is run; or None, with a ``table`` of inputs and outputs
     of runs done elsewhere. box: ranges of the inputs (default: the published ones of the 9 inputs, or the table's);
     settings: runs, budgets, prior, sampling, seed; store: folder of the simulations (default: in ``folder``); workers:
-    simulations side by side here, scheduler: address of a Dask scheduler instead; fresh: start in a sub-folder where
+    simulations side by side here, scheduler: address of a Dask scheduler instead; sensitivities: whether runs tell their
+    derivatives; fresh: start in a sub-folder where
     ``folder`` holds something else; retry: run again what the machine has ended three times. Called again it goes on, and
     ends as if it had not been interrupted. Raises LacliError where no point of the box reaches the targets, UsageError,
     TableError, AnatomyError, SolverMissingError, StorageError, Cancelled.
@@ -102,7 +104,7 @@ def calibrate(
 
         assert scene is not None
         box = box or published_box()
-        run = _simulator(scene, store or folder / WAVES, workers, scheduler)
+        run = _simulator(scene, store or folder / WAVES, workers, scheduler, targets.names, sensitivities)
         of_runs = runs_identity(run, box.names, targets.names)
         identity = calibration_identity(box, targets, settings, of_runs)
         folder = _settle(folder, lambda place: obstacle(place, identity), of_runs, fresh)
@@ -151,7 +153,7 @@ def recover(
     settings = settings or Settings()
     _check(settings, folder)
     box = box or published_box()
-    run = _simulator(scene, store or folder / WAVES, workers, scheduler)
+    run = _simulator(scene, store or folder / WAVES, workers, scheduler, (), False)
     x = _point(truth or {}, box)
     of_runs = runs_identity(run, box.names, logged(OUTPUTS))
     identity = truth_identity(run, box, OUTPUTS, x, settings)
@@ -174,10 +176,12 @@ def _check(settings: Settings, folder: Path) -> None:
     check_folder(folder)
 
 
-def _simulator(scene: Scene, store: Path, workers: int | None, scheduler: str | None) -> SceneSimulator:
+def _simulator(
+    scene: Scene, store: Path, workers: int | None, scheduler: str | None, targets: Sequence[str], sensitivities: bool
+) -> SceneSimulator:
     from lacli.calibration.simulator import simulator
 
-    return simulator(scene, store, workers, scheduler)
+    return simulator(scene, store, workers, scheduler, targets=targets, sensitivities=sensitivities)
 
 
 def _settle(folder: Path, in_the_way: Callable[[Path], str], of_runs: Identity, fresh: bool) -> Path:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lacli.contracts.features import KEYS, at_time, parse
 from lacli.contracts.parameters import QUANTITIES
 from lacli.contracts.scene import Scene, with_parameters
 
@@ -64,23 +65,60 @@ def _solver() -> str:
         return "not installed"
 
 
-def simulator(scene: Scene, root: Path, workers: int | None = None, scheduler: str | None = None) -> SceneSimulator:
+def simulator(
+    scene: Scene,
+    root: Path,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    *,
+    targets: Sequence[str] = (),
+    sensitivities: bool = True,
+) -> SceneSimulator:
     """The simulator of a scene. Raises StorageError where nothing can be written to ``root``.
 
-    Neither fields nor the unloaded state are computed (a calibration makes hundreds of runs and reads their features).
+    targets: names of outputs that will be held against it; those at times of the cycle (``n_septum_mm@0.2``) make its frames.
+    sensitivities: whether runs tell their derivatives (where the scene can: the compiled engine, prestrain). Neither fields nor
+    the unloaded state are computed (a calibration makes hundreds of runs and reads their features).
     """
     from lacli.base.files import check_folder
 
     check_folder(root, "--store")
-    outputs = scene.outputs.model_copy(update={"fields": "none", "unloaded": False})
-    return SceneSimulator(scene.model_copy(update={"outputs": outputs}), root, workers, scheduler)
+    chosen: dict[str, Any] = {"fields": "none", "unloaded": False, "sensitivities": sensitivities}
+    if times := times_of(targets):
+        chosen["times"] = times
+    return SceneSimulator(scene.model_copy(update={"outputs": scene.outputs.model_copy(update=chosen)}), root, workers, scheduler)
+
+
+def times_of(names: Sequence[str]) -> tuple[float, ...]:
+    """The times of the cycle that the names of features bear, rising."""
+    found = set()
+    for name in names:
+        try:
+            _, time = parse(name)
+        except ValueError:  # of no feature: the run has it or lacks it
+            continue
+        if time:
+            found.add(time)
+    return tuple(sorted(found))
 
 
 def _outcome(result: RunResult, errors: dict[str, float]) -> Outcome:
     from lacli.inference.runs import Outcome
+    from lacli.mechanics.sensitivities import load_sensitivities
 
     features = result.features if result.status == "done" else {}
     outputs = {k: float(v) for k, v in features.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
+    gradients: dict[tuple[str, str], float] = {}
+    if features:
+        framed, es = _frames(result.folder)
+        outputs |= framed
+        if (table := load_sensitivities(result.folder)) is not None:
+            gradients = {
+                (name, str(given)): float(value)
+                for row, cells in zip(table.index.astype(str), table.to_dict("records"), strict=True)
+                for name in (row, *_also(row, es))
+                for given, value in cells.items()
+            }
     return Outcome(
         outputs,
         "done" if result.status == "done" else "failed",
@@ -90,4 +128,21 @@ def _outcome(result: RunResult, errors: dict[str, float]) -> Outcome:
         result.message if result.status != "done" else "",
         float(result.manifest.get("peak_memory_mb") or float("nan")),
         int(result.manifest.get("attempts") or 1),
+        gradients,
     )
+
+
+def _frames(folder: Path) -> tuple[dict[str, float], float]:
+    """Features at each time of a run's transients by name, ``<key>@<time>``, and the time of end-systole."""
+    import pandas as pd
+
+    table = pd.read_csv(folder / "transients.csv")
+    found = {at_time(key, float(row["time"])): float(row[key]) for row in table.to_dict("records") for key in KEYS if key in row}
+    reservoir = table.loc[table["phase"] == "reservoir", "time"]
+    return found, float(reservoir.max())
+
+
+def _also(name: str, es: float) -> list[str]:
+    """The name at its time, of a feature at end-systole."""
+    key = {"esv_ml": "volume_ml"}.get(name, name)
+    return [at_time(key, es)] if "@" not in name and key in KEYS and key != "edv_ml" else []

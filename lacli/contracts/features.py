@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from lacli.contracts.labels import BODY_REGIONS
 
 TIME_DIGITS = 4
+SAME_TIME = 10.0**-TIME_DIGITS  # times nearer than this have one name
 
 
 @dataclass(frozen=True)

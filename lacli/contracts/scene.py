@@ -232,6 +232,9 @@ class Outputs(_Frozen):
 
     place = "outputs"
     frames: int = _default("outputs.frames")
+    times: tuple[float, ...] = Field(
+        default=(), description="times of the frames, shares of the cycle, in place of `frames`; after end-systole, conduit"
+    )
     conduit: bool = Field(default=False, description="whether the conduit phase after end-systole is simulated")
     fields: Literal["none", "es", "all"] = Field(
         default="es", description="states written as VTU files: none, end-diastole and end-systole, or every frame"
@@ -244,6 +247,13 @@ class Outputs(_Frozen):
     sensitivities: bool = Field(
         default=False, description="whether the derivatives of the features by the inputs of the study are written too"
     )
+
+    @field_validator("times")
+    @classmethod
+    def _rising(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+        if len(value) > 100 or any(not 0.0 < t <= 1.0 for t in value) or any(b <= a for a, b in itertools.pairwise(value)):
+            raise ValueError("needs rising times above 0, up to 1 (one cycle from end-diastole), 100 at most")
+        return value
 
 
 class Scene(_Frozen):

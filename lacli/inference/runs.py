@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +17,7 @@ from lacli.base.files import replacing
 from lacli.base.processes.process import memory_mb
 from lacli.contracts import failures
 from lacli.contracts.identity import Identity, beside, conflict, identify, read_identity, write_identity
+from lacli.contracts.tables.gradients import name_of as gradient_name
 from lacli.contracts.tables.table import ERROR_SUFFIX, STATUS, RunTable, combine, input_values, read_frame
 
 KIND, ATTEMPTS, MESSAGE, MEMORY = "kind", "attempts", "message", "peak_memory_mb"
@@ -24,7 +26,8 @@ KIND, ATTEMPTS, MESSAGE, MEMORY = "kind", "attempts", "message", "peak_memory_mb
 @dataclass(frozen=True)
 class Outcome:
     """What came of a run: outputs by name, status ``done`` or ``failed``, the kind of failure and its message, discretisation
-    errors (one standard deviation, by output's name), CPU seconds, peak memory; attempts that the machine ended."""
+    errors (one standard deviation, by output's name), CPU seconds, peak memory; attempts that the machine ended; gradients:
+    derivatives by (output, input), in the output's unit over the input's."""
 
     outputs: dict[str, float]
     status: str = "done"
@@ -34,6 +37,7 @@ class Outcome:
     message: str = ""
     peak_memory_mb: float = float("nan")
     attempts: int = 1
+    gradients: dict[tuple[str, str], float] = field(default_factory=dict)
 
     @property
     def lost(self) -> bool:
@@ -117,6 +121,11 @@ class RunLog:
         row: dict[str, object] = dict(zip(self.inputs, point, strict=True))
         row |= {name: outcome.outputs.get(name, np.nan) for name in self.outputs}
         row |= {name + ERROR_SUFFIX: outcome.errors[name] for name in self.outputs if name in outcome.errors}
+        row |= {
+            gradient_name(output, given): outcome.gradients[output, given]
+            for output, given in itertools.product(self.outputs, self.inputs)
+            if (output, given) in outcome.gradients
+        }
         row |= {STATUS: outcome.status, KIND: outcome.kind, "cpu_s": outcome.cpu_s, MEMORY: outcome.peak_memory_mb}
         if outcome.message:
             row[MESSAGE] = outcome.message
@@ -162,6 +171,12 @@ class RunLog:
     def frame(self, x: FloatArray) -> pd.DataFrame:
         """Rows of the log for the points x (m, d), in their order."""
         return pd.DataFrame([self.rows[tuple(row.tolist())] for row in x])
+
+    def gradients(self, x: FloatArray, outputs: Sequence[str]) -> FloatArray:
+        """(m, d, p): derivatives of the named outputs by the inputs at the points x (m, d), NaN where a run tells none."""
+        names = [gradient_name(output, given) for given in self.inputs for output in outputs]
+        found = self.frame(x).reindex(columns=names).to_numpy(float)
+        return np.asarray(found.reshape(len(x), len(self.inputs), len(outputs)))
 
     def table(self, x: FloatArray, outputs: Sequence[str]) -> RunTable:
         """The checked table of the runs at x (m, d), in that order, with the named outputs."""

@@ -10,6 +10,7 @@ from lacli.base.errors import AnatomyError
 from lacli.contracts import bundle as bundles
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.case import Case, Phase, Plan
+from lacli.contracts.features import SAME_TIME
 from lacli.contracts.identity import run_key
 from lacli.contracts.labels import EPI, REGIONS, RINGS, is_body
 from lacli.contracts.laws import LAWS
@@ -107,7 +108,11 @@ def _phases(scene: Scene, motion: Motion | None) -> tuple[Phase, ...]:
         phases.append(Phase("load", "ed", 0.0, scene.loads.edp_kpa, 0.0, 0.0, 1.0, 0.0))
     count = max(1, scene.outputs.frames)
     times = list(np.linspace(0.0, es, count + 1))
-    if scene.outputs.conduit:
+    if scene.outputs.times:
+        # a time as near to end-systole as names can tell is end-systole
+        given = [t for t in scene.outputs.times if abs(t - es) > SAME_TIME]
+        times = sorted([0.0, es, *given])
+    elif scene.outputs.conduit:
         times += list(np.linspace(es, 1.0, max(4, count) + 1)[1:])
     for index, (start, end) in enumerate(itertools.pairwise(times)):
         reservoir = end <= es + 1e-12
@@ -155,8 +160,18 @@ def describe(scene: Scene, bundle: Bundle) -> list[tuple[str, bool, str]]:
             f"{scene.pericardium.k_peri_kpa_per_um:g} kPa/um, PTH {scene.pericardium.pth:g}",
         ),
         ("outward only", plan.pericardium and plan.outward_only, "pericardium.outward_only"),
-        ("transient", scene.outputs.frames > 1, f"outputs.frames is {scene.outputs.frames}"),
-        ("conduit", scene.outputs.conduit, "outputs.conduit"),
+        (
+            "transient",
+            scene.outputs.frames > 1 or bool(scene.outputs.times),
+            f"outputs.times has {len(scene.outputs.times)}"
+            if scene.outputs.times
+            else f"outputs.frames is {scene.outputs.frames}",
+        ),
+        (
+            "conduit",
+            any(phase.name == "conduit" for phase in plan.phases),
+            "outputs.times" if scene.outputs.times else "outputs.conduit",
+        ),
         (
             "sensitivities",
             plan.sensitivities,

@@ -45,6 +45,7 @@ SceneOf = Callable[..., Scene]
 
 # where any other value than the default breaks a rule between fields: changes that keep the rules
 TOGETHER: dict[str, dict[str, Any]] = {
+    "outputs.times": {"outputs": {"times": [0.1, 0.2]}},
     "loads.transient_mmhg": {"loads": {"transient_mmhg": [[0.0, 8.0], [0.4, 20.0]]}},
     "motion.annulus": {"motion": {"annulus": "axial"}},
 }

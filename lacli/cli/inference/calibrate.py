@@ -6,12 +6,12 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from lacli.base.errors import LacliError, UsageError
-from lacli.cli.terminal.console import err, out, print_json, print_table
+from lacli.cli.terminal.console import err, out, print_json, print_table, stages
 from lacli.cli.terminal.scenes import read_scene
 from lacli.cli.terminal.tables import BoxFile, Fresh, Json, Retry, Seed
 
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from lacli.api.calibration import Calibrated, Recovered
     from lacli.api.progress import Progress
     from lacli.calibration.calibration import Calibration, WaveReport
+    from lacli.contracts.scene import Scene
+    from lacli.contracts.targets import Targets
     from lacli.inference.box import Box
 
 
@@ -39,15 +41,22 @@ def command(
     ),
     root: Annotated[Path | None, typer.Option("--store", help="Folder of the simulations (default: runs in --out).")] = None,
     box_file: BoxFile = None,
+    method: Annotated[
+        str,
+        typer.Option(help="published: waves over the box; sequential: to the posterior, with the runs' derivatives (few runs)."),
+    ] = "published",
     first: Annotated[int, typer.Option("--first-runs", min=10, help="Runs of the first wave.")] = 200,
     following: Annotated[int, typer.Option("--wave-runs", min=1, help="Runs of each further wave.")] = 100,
     max_waves: Annotated[int, typer.Option(min=1, help="Waves at most.")] = 5,
-    max_runs: Annotated[int, typer.Option(min=10, help="Budget: runs.")] = 10_000,
+    max_runs: Annotated[int | None, typer.Option(min=10, help="Budget: runs (10000; sequential: 60).")] = None,
     hours: Annotated[float, typer.Option(min=0, help="Budget: no further wave that would end later than this.")] = float("inf"),
     prior: Annotated[str, typer.Option(help="nroy: what history matching leaves; box: the whole box.")] = "nroy",
     workers: Annotated[int | None, typer.Option(min=1, help="Simulations side by side.")] = None,
     scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler.")] = None,
     ess: Annotated[float, typer.Option(min=1, help="Effective samples of every input; fewer are sooner there.")] = 5000,
+    sensitivities: Annotated[
+        bool, typer.Option("--sensitivities/--no-sensitivities", help="Runs tell their derivatives, where the scene can.")
+    ] = True,
     overrides: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a key of the scene.")
     ] = None,
@@ -65,6 +74,7 @@ def command(
     """
     from lacli.api import calibration as api
     from lacli.calibration.calibration import Settings
+    from lacli.calibration.sequential.calibration import Settings as Sought
     from lacli.contracts.targets import read_targets
     from lacli.inference.box import published_box, read_box
     from lacli.inference.sampling.posterior import Settings as Sampling
@@ -75,17 +85,31 @@ def command(
         raise UsageError("give either --targets or --synthetic-truth.")
     if from_table is not None and synthetic:
         raise UsageError("--from-table needs --targets.")
+    if method not in ("published", "sequential"):
+        raise UsageError(f"--method {method}: must be published or sequential.")
+    begin = time.monotonic()
+    if method == "sequential":
+        if scene_file is None or targets_file is None or from_table is not None:
+            raise UsageError("--method sequential needs a SCENE that it can run, and --targets.")
+        if not sensitivities:
+            raise UsageError("--method sequential needs the runs' derivatives; leave --no-sensitivities out.")
+        space = read_box(box_file) if box_file else published_box()
+        _seek(
+            read_scene(scene_file, overrides, space), read_targets(targets_file), folder, as_json, box=space,
+            settings=Sought(max_runs=max_runs or Sought.max_runs, seed=seed, mcmc=Sampling(ess=ess)), store=root,
+            workers=workers, scheduler=scheduler, fresh=fresh, retry=retry, figures=figures,
+        )  # fmt: skip
+        return
     settings = Settings(
         first_runs=first,
         wave_runs=following,
         max_waves=max_waves,
-        max_runs=max_runs,
+        max_runs=max_runs or Settings.max_runs,
         hours=hours,
         prior=prior,
         seed=seed,
         mcmc=Sampling(ess=ess),
     )
-    begin = time.monotonic()
     box, scene = read_box(box_file) if box_file else None, None
     if from_table is None and scene_file is not None:
         box = box or published_box()
@@ -103,9 +127,43 @@ def command(
     with _dashboard() as show:
         found = api.calibrate(
             scene, targets, folder, table=from_table, box=box, settings=settings, store=root, workers=workers,
-            scheduler=scheduler, fresh=fresh, retry=retry, figures=figures, progress=show,
+            scheduler=scheduler, sensitivities=sensitivities, fresh=fresh, retry=retry, figures=figures, progress=show,
         )  # fmt: skip
     _finish(found, as_json, time.monotonic() - begin)
+
+
+def _seek(scene: Scene, targets: Targets, folder: Path, as_json: bool, **options: Any) -> None:
+    from lacli.api.sequential import seek
+    from lacli.calibration.sequential.calibration import document
+
+    begin = time.monotonic()
+    with stages() as show:
+        found = seek(scene, targets, folder, progress=show, **options)
+    result, wall_s = found.result, time.monotonic() - begin
+    for note in result.notes:
+        err.print(f"note: {note}", highlight=False, soft_wrap=True)
+    if as_json:
+        print_json({**document(result), "wall_s": wall_s, "pictures": [str(p) for p in found.pictures]})
+    else:
+        print_table(
+            f"Posterior (ESS {result.chain.ess.min():.0f}, R-hat {result.chain.rhat.max():.3f}"
+            + (")" if result.chain.converged else ", not converged)"),
+            ["input", "most probable", "mean", "sd", "2.5 %", "97.5 %", "emulator's part, sd"],
+            [
+                [r["input"], r["map"], r["mean"], r["sd"], r["low95"], r["high95"], float(moved)]
+                for r, moved in zip(result.table, result.change, strict=True)
+            ],
+        )
+        print_table("Runs", ["stage", "runs"], [[name, count] for name, count in result.stages.items()])
+        out.print(
+            f"chi^2 {result.misfit:.1f} for {len(targets.names)} targets; {result.runs} runs ({result.failed} failed), "
+            f"{result.map_runs} until the most probable point. Stopped because {result.stopped}; {_time(wall_s)}. "
+            f"Everything is in {found.folder}",
+            highlight=False,
+            soft_wrap=True,
+        )
+    if result.refused:
+        raise LacliError(result.refused)
 
 
 def _truth(pairs: list[str] | None, box: Box) -> dict[str, float]:

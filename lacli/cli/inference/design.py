@@ -30,6 +30,13 @@ def command(
     scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler.")] = None,
     root: Annotated[Path, typer.Option("--store", help="Folder of the simulations.")] = Path("runs"),
     table: Annotated[Path, typer.Option("--out", help="The table written (.csv or .parquet).")] = Path("design.csv"),
+    sensitivities: Annotated[
+        bool,
+        typer.Option(
+            "--sensitivities/--no-sensitivities",
+            help="Runs tell their derivatives, where the scene can: columns d<output>/d<input>, in units of both.",
+        ),
+    ] = True,
     fresh: Fresh = False,
     retry: Retry = False,
     seed: Seed = 0,
@@ -49,7 +56,7 @@ def command(
     with stages() as show:
         made = api.design(
             table, scene=scene, count=count, method=method, box=box, runs=runs, store=root, workers=workers,
-            scheduler=scheduler, fresh=fresh, retry=retry, seed=seed, progress=show,
+            scheduler=scheduler, sensitivities=sensitivities, fresh=fresh, retry=retry, seed=seed, progress=show,
         )  # fmt: skip
     if made.note:
         err.print(f"note: {made.note}", highlight=False, soft_wrap=True)

@@ -1,0 +1,95 @@
+"""Calibration that seeks the posterior, in one call."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lacli.api.progress import Cancel, OnProgress, Stage
+from lacli.base.errors import UsageError
+
+if TYPE_CHECKING:
+    from lacli.calibration.sequential.calibration import Sequential, Settings, Status
+    from lacli.contracts.scene import Scene
+    from lacli.contracts.targets import Targets
+    from lacli.inference.box import Box
+
+RUNS = "runs"  # the folder of the simulations in a calibration's own
+FIGURES = ("corner.png", "trace.png")
+
+
+@dataclass(frozen=True)
+class Sought:
+    """A calibration that sought the posterior, the folder of its files, and the pictures drawn.
+
+    result: most probable point (d,), posterior by input, runs by stage, chain, what was met on the way (``notes``), and why it
+    is no answer (``refused``, empty where it is one).
+    """
+
+    folder: Path
+    result: Sequential
+    pictures: tuple[Path, ...]
+
+
+def seek(
+    scene: Scene,
+    targets: Targets,
+    folder: Path,
+    *,
+    box: Box | None = None,
+    settings: Settings | None = None,
+    store: Path | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    fresh: bool = False,
+    retry: bool = False,
+    figures: bool = False,
+    progress: OnProgress | None = None,
+    cancel: Cancel | None = None,
+) -> Sought:
+    """The posterior of a patient's parameters from few runs that tell their derivatives, with a check of the whole box.
+
+    Targets and inputs are in the units of their names; targets at times of the cycle (``n_septum_mm@0.2``) make the frames of
+    the simulations. The prior is uniform on the box (default: the published ranges of the 9 inputs). store: folder of the
+    simulations (default: in ``folder``); workers: simulations side by side here, scheduler: address of a Dask scheduler
+    instead; fresh: start in a sub-folder where ``folder`` holds something else; retry: run again what the machine has ended
+    three times. Called again it goes on, and ends as if it had not been interrupted.
+    Raises LacliError where runs tell no derivatives or too few finish, UsageError, TableError, AnatomyError,
+    SolverMissingError, StorageError, Cancelled.
+    """
+    from lacli.base.files import check_folder, superseded
+    from lacli.calibration.calibration import obstacle
+    from lacli.calibration.sequential.calibration import Settings, calibrate_sequentially, sequential_identity
+    from lacli.calibration.simulator import simulator
+    from lacli.contracts.identity import settle
+    from lacli.inference.box import published_box
+    from lacli.inference.runs import RunLog, runs_identity
+    from lacli.inference.runs import obstacle as in_the_way
+    from lacli.report.inference_figures_posterior import corner_figure, trace_figure
+
+    if scene.numerics.unloading != "prestrain" or scene.numerics.engine == "script":
+        raise UsageError(
+            "calibrate: the sequential method needs derivatives, which only the compiled engine with numerics.unloading = "
+            '"prestrain" has. Change the scene, or use --method published.'
+        )
+    check_folder(folder)
+    settings, box = settings or Settings(), box or published_box()
+    run = simulator(scene, store or folder / RUNS, workers, scheduler, targets=targets.names)
+    of_runs = runs_identity(run, box.names, targets.names)
+    identity = sequential_identity(box, targets, settings, of_runs)
+    folder = settle(folder, lambda place: obstacle(place, identity) or in_the_way(place / "runs.csv", of_runs), fresh)
+    log = RunLog(folder / "runs.csv", box.names, targets.names, of_runs, retry)
+    stage = Stage("calibration", 1.0, progress, cancel)
+
+    def hear(status: Status) -> None:
+        stage.of(f"{status.stage} ({status.runs} runs so far)" if not status.total else status.stage, status.done, status.total)
+
+    result = calibrate_sequentially(run, box, targets, settings, folder, log, hear)
+    superseded(folder, *FIGURES)
+    pictures: tuple[Path, ...] = ()
+    if figures:
+        stage.of("drawing", 0.0, 1.0)
+        corner, trace = (folder / name for name in FIGURES)
+        pictures = (corner_figure(result.chain, result.map_x, box, corner), trace_figure(result.chain, trace))
+    return Sought(folder, result, pictures)

@@ -1,0 +1,99 @@
+"""``lacli cohort``: a whole study, patient by patient."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from lacli.api import study
+from lacli.base.errors import LacliError, UsageError
+from lacli.cli.terminal.console import err, out, print_json, print_table, stages
+from lacli.cli.terminal.tables import Json, warn
+
+
+def command(
+    participants: Annotated[Path, typer.Argument(help="Table of participants (CSV, Parquet), a row each; see docs/files.md.")],
+    folder: Annotated[Path, typer.Option("--out", help="Folder of the study, a folder a patient in it.")] = Path("study"),
+    scene: Annotated[Path | None, typer.Option(help="Scene of those who have none of their own (TOML).")] = None,
+    settings: Annotated[
+        Path | None, typer.Option(help="Options that all share (TOML): [mesh], [fat], [track], [calibrate], [compare], [slurm].")
+    ] = None,
+    only: Annotated[list[str] | None, typer.Option("--only", help="Only this participant; may be repeated.")] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done and what it costs; run nothing.")] = False,
+    slurm: Annotated[Path | None, typer.Option("--write-slurm", help="Write a SLURM array script here; run nothing.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Mesh, fat, track, calibrate and compare every patient, and the study's tables; started again it goes on.
+
+    Each step can be run by hand: --dry-run prints the calls. A patient who fails stays out, with the reason.
+
+    Example: lacli cohort participants.csv --scene scene.toml --out study
+    """
+    _check_options(settings)
+    if dry_run or slurm is not None:
+        rows = study.plan_cohort(participants, folder, scene=scene, settings=settings, only=only or ())
+        if slurm is not None:
+            if only:
+                raise UsageError("--write-slurm writes a task for every participant; leave --only out.")
+            study.write_slurm(participants, folder, slurm, scene=scene, settings=settings)
+        cost = study.cohort_cost(rows, folder, settings)
+        if as_json:
+            print_json({"steps": [asdict(row) for row in rows], "cost": cost, "script": slurm})
+            return
+        print_table("Steps", ["participant", "step", "state"], [[r.participant_id, r.step, r.state] for r in rows])
+        for row in rows if dry_run else ():
+            out.print(row.command, highlight=False, soft_wrap=True)
+        out.print(_cost_words(cost), highlight=False, soft_wrap=True)
+        return
+    with stages() as show:
+        found = study.run_cohort(participants, folder, scene=scene, settings=settings, only=only or (), progress=show)
+    for note in found.summary["notes"]:
+        warn(note)
+    if as_json:
+        print_json({"patients": [asdict(o) for o in found.outcomes], "summary": found.summary})
+    else:
+        rows_ = [[o.participant_id, o.status, o.step, sum(o.cpu_s.values()) / 3600] for o in found.outcomes]
+        print_table("Patients", ["participant", "status", "at", "CPU, h"], rows_)
+        models = found.summary["models"]
+        if models:
+            print_table(
+                "RMSE over the patients, mm",
+                ["model", "patients", "mean", "sd"],
+                [
+                    [m["name"], m["patients"], m["rmse_mean_mm"], "-" if m["rmse_sd_mm"] is None else m["rmse_sd_mm"]]
+                    for m in models
+                ],
+            )
+        out.print(f"Tables in {folder}", highlight=False, soft_wrap=True)
+    failed = [o for o in found.outcomes if o.status == "failed"]
+    for o in failed:
+        err.print(f"{o.participant_id}: {o.step}: {o.reason}", highlight=False, soft_wrap=True)
+    if failed:
+        raise LacliError(f"{len(failed)} of {len(found.outcomes)} participants failed; the others' results stand.")
+
+
+def _check_options(settings: Path | None) -> None:
+    """Options of the settings that no command has are told before anything runs."""
+    import typer.main
+
+    from lacli.cli.main import build
+    from lacli.cohort.steps import read_settings
+
+    for name, table in read_settings(settings).options.items():
+        group: Any = typer.main.get_command(build({name}))
+        known = {text for p in group.commands[name].params for text in (*p.opts, *p.secondary_opts)}
+        for option, value in table.items():
+            text = f"--no-{option}" if value is False else f"--{option}"
+            if text not in known:
+                raise UsageError(f"{settings}: [{name}] {option} = {value}: `lacli {name}` has no option {text}.")
+
+
+def _cost_words(cost: dict[str, Any]) -> str:
+    runs = f"{cost['calibrations']} calibrations to do, of at most {cost['runs_each']} runs each"
+    if cost["cpu_s_per_run"] is None:
+        return f"{runs}; what a run costs is not known before the first patient's (`lacli simulate --dry-run` tells)."
+    hours = cost["calibrations"] * cost["runs_each"] * cost["cpu_s_per_run"] / 3600
+    return f"{runs}: {hours:.3g} CPU hours at most, at {cost['cpu_s_per_run']:.3g} s a run as in this study so far."

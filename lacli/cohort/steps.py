@@ -1,0 +1,119 @@
+"""The steps of one patient, as data: each a call of lacli that can be made by hand, with what it reads and what it leaves."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from lacli.base.documents import brief, read_toml
+from lacli.base.errors import UsageError
+from lacli.cohort.participants import Participant
+
+COMMANDS = ("mesh", "fat", "track", "calibrate", "compare")
+SLURM = ("time", "memory", "cpus", "account", "partition", "modules", "limit")
+_OPTION = re.compile(r"[a-z][a-z0-9-]*")
+_PLAIN = re.compile(r"[A-Za-z0-9_./:=+,@ -]{1,200}")
+_OURS = ("out", "bundle", "anatomy", "targets", "from-table", "json", "other")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What all patients share: options of each command (name -> value), and SLURM's."""
+
+    options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    slurm: Mapping[str, Any] = field(default_factory=dict)
+
+    def arguments(self, command: str) -> list[str]:
+        """The command's options as arguments."""
+        words: list[str] = []
+        for name, value in self.options.get(command, {}).items():
+            if value is True:
+                words.append(f"--{name}")
+            elif value is False:
+                words.append(f"--no-{name}")
+            else:
+                for one in value if isinstance(value, list) else [value]:
+                    words += [f"--{name}", str(one)]
+        return words
+
+
+@dataclass(frozen=True)
+class Step:
+    """name; arguments of ``lacli``; files and folders that it reads; the product that shows that it is done."""
+
+    name: str
+    arguments: tuple[str, ...]
+    reads: tuple[Path, ...]
+    product: Path
+
+
+def read_settings(path: Path | None) -> Settings:
+    """The settings file: tables ``[mesh]``, ``[fat]``, ``[track]``, ``[calibrate]``, ``[compare]`` of options without their
+    dashes, ``[slurm]`` with time, memory, cpus, account, partition, modules, limit. Raises UsageError."""
+    if path is None:
+        return Settings()
+    document = read_toml(path, error=UsageError)
+    slurm = document.pop("slurm", {})
+    for command, table in document.items():
+        if command not in COMMANDS or not isinstance(table, dict):
+            raise UsageError(f"{path}: [{command}]: the tables are {', '.join((*COMMANDS, 'slurm'))}.")
+        for name, value in table.items():
+            if not _OPTION.fullmatch(name) or name in _OURS:
+                raise UsageError(f"{path}: {command}.{name}: not an option that all patients can share.")
+            _check_value(path, f"{command}.{name}", value)
+    if not isinstance(slurm, dict) or set(slurm) - set(SLURM):
+        raise UsageError(f"{path}: [slurm] has the keys {', '.join(SLURM)}.")
+    for name, value in slurm.items():
+        for one in value if isinstance(value, list) else [value]:
+            if isinstance(one, bool) or not _PLAIN.fullmatch(str(one)):
+                raise UsageError(f"{path}: slurm.{name}: {brief(one)} cannot stand in a batch script.")
+    return Settings(document, slurm)
+
+
+def _check_value(path: Path, name: str, value: Any) -> None:
+    for one in value if isinstance(value, list) else [value]:
+        if not isinstance(one, (str, int, float, bool)) or (isinstance(one, str) and one.startswith("-")):
+            raise UsageError(f"{path}: {name}: {brief(one)}; a text, a number, true, false, or a list of them.")
+
+
+def steps_of(patient: Participant, settings: Settings, folder: Path, scene: Path | None) -> list[Step]:
+    """The steps of a patient in order; folder: the patient's own. scene: of those who have none of their own.
+
+    Raises UsageError where a calibration has no scene.
+    """
+    paths, steps = patient.paths, []
+    table = paths.get("table")
+    own_bundle = "bundle" not in paths
+    bundle, targets = paths.get("bundle", folder / "anatomy"), paths.get("targets", folder / "motion" / "targets.toml")
+
+    def add(name: str, words: list[str], reads: list[Path], product: Path) -> None:
+        steps.append(Step(name, (name, *words, *settings.arguments(name)), tuple(reads), product))
+
+    if table is None:
+        # tracking puts the annulus' motion into a bundle that is the study's own, and changes nothing else of it
+        anatomy = [bundle / "wall.vtu", bundle / "boundary.vtp"]
+        if own_bundle:
+            add("mesh", [str(paths["labels"]), "--out", str(bundle)], [paths["labels"]], bundle / "anatomy.json")
+        if "ct" in paths:
+            words = [str(paths["ct"]), "--anatomy", str(bundle), "--out", str(folder / "fat")]
+            add("fat", words, [paths["ct"], *anatomy], folder / "fat" / "fat.json")
+        if "targets" not in paths:
+            words = [str(paths["images"]), "--bundle", str(bundle), "--out", str(folder / "motion")]
+            add("track", [*words, *(["--update-bundle"] if own_bundle else [])], [paths["images"], *anatomy], targets)
+    calibration = folder / "calibration"
+    words = ["--targets", str(targets), "--out", str(calibration)]
+    if table is None:
+        own = paths.get("scene", scene)
+        if own is None:
+            raise UsageError(f"{patient.identifier}: no scene to calibrate; give --scene, or a column scene.")
+        words = [str(own), *words, "--set", f"anatomy.bundle={bundle}"]
+        reads = [own, bundle, targets]
+    else:
+        words, reads = ["--from-table", str(table), *words], [table, targets]
+    add("calibrate", words, reads, calibration / "result.json")
+    words = [str(calibration), "--targets", str(targets), "--out", str(folder / "comparison.json")]
+    add("compare", words, [calibration / "result.json", targets], folder / "comparison.json")
+    return steps

@@ -1,0 +1,164 @@
+"""A study on disk: a folder a patient, a step done once and found again by the content of all that it read.
+
+``STUDY/<participant_id>/steps/<step>.json`` is written when a step has ended well; ``<step>.log`` has what it said. A step whose
+inputs or options have changed since is refused, never mixed. What goes wrong with a patient is that patient's, with its reason.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from lacli.base.documents import read_json
+from lacli.base.errors import Cancelled, InputError, StorageError, UsageError
+from lacli.base.files import write_json
+from lacli.base.processes.locks import lock
+from lacli.base.processes.process import supervise, while_wanted
+from lacli.base.version import __version__
+from lacli.cohort.participants import Participant
+from lacli.cohort.steps import Step
+
+_TIMEOUT_S = 30 * 86_400.0
+_BLOCK = 1 << 20
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A patient's state: ``done``, ``failed`` at ``step`` with its ``reason``; cpu_s of the steps done, by name."""
+
+    participant_id: str
+    status: str
+    step: str
+    reason: str
+    cpu_s: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A step of the dry run: ``done``, ``to do``, or why it cannot be."""
+
+    participant_id: str
+    step: str
+    state: str
+    command: str
+
+
+def planned(patient: Participant, steps: Sequence[Step], folder: Path) -> list[Planned]:
+    """The state of each step, nothing is run. Raises UsageError where what was done was done from something else."""
+    rows, fresh = [], False
+    for step in steps:
+        done = not fresh and _is_done(step, folder)
+        fresh |= not done
+        rows.append(Planned(patient.identifier, step.name, "done" if done else "to do", " ".join(("lacli", *step.arguments))))
+    return rows
+
+
+def run(
+    patient: Participant, steps: Sequence[Step], folder: Path, tick: Callable[[str], None], wanted: Callable[[], bool]
+) -> Outcome:
+    """Do what is not done. tick: called with the name of each step that begins. Raises Cancelled where no longer wanted.
+
+    A failure is the outcome's, not an exception; the steps before it stay done.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "steps").mkdir(exist_ok=True)
+    cpu: dict[str, float] = {}
+    with lock(folder / "steps" / ".lock", f"patient {patient.identifier}"):
+        for step in steps:
+            tick(step.name)
+            try:
+                if not _is_done(step, folder):
+                    _do(step, folder, wanted)
+                cpu[step.name] = float(read_json(_mark(step, folder))["cpu_s"])
+            except (UsageError, InputError, StorageError) as error:
+                return _kept(folder, Outcome(patient.identifier, "failed", step.name, str(error), cpu))
+    return _kept(folder, Outcome(patient.identifier, "done", "", "", cpu))
+
+
+def known_outcome(folder: Path) -> Outcome | None:
+    """What an earlier call left of a patient. Raises InputError on a damaged file."""
+    file = folder / "status.json"
+    if not file.is_file():
+        return None
+    try:
+        return Outcome(**read_json(file))
+    except TypeError:
+        raise InputError(f"{file}: not a patient's state; remove it.") from None
+
+
+def _kept(folder: Path, outcome: Outcome) -> Outcome:
+    write_json(folder / "status.json", asdict(outcome))
+    return outcome
+
+
+def _mark(step: Step, folder: Path) -> Path:
+    return folder / "steps" / f"{step.name}.json"
+
+
+def _is_done(step: Step, folder: Path) -> bool:
+    mark = _mark(step, folder)
+    if not mark.is_file():
+        return False
+    known = read_json(mark)
+    if not isinstance(known, dict) or not step.product.exists():
+        return False
+    if known.get("arguments") != list(step.arguments):
+        raise UsageError(
+            f"{folder}: {step.name} was done with other options; choose another --out, or remove {mark} and its results."
+        )
+    changed = [name for name, digest in _digests(step).items() if known.get("reads", {}).get(name) != digest]
+    if changed:
+        raise UsageError(
+            f"{folder}: {step.name} was done from another {changed[0]}; choose another --out, or remove {mark} and its results."
+        )
+    return True
+
+
+def _digests(step: Step) -> dict[str, str]:
+    return {str(path): content_digest(path) for path in step.reads}
+
+
+def content_digest(path: Path) -> str:
+    """Digest of a file's bytes, or of all files below a folder with their names. Raises InputError where it is not there."""
+    digest = hashlib.sha256()
+    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+    try:
+        for file in files:
+            digest.update(str(file.relative_to(path)).encode() + b"\0")
+            with file.open("rb") as stream:
+                while block := stream.read(_BLOCK):
+                    digest.update(block)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}).") from None
+    return digest.hexdigest()[:32]
+
+
+def _do(step: Step, folder: Path, wanted: Callable[[], bool]) -> None:
+    """Run the step. Raises InputError with its last words where it fails."""
+    before = _digests(step)
+    log = folder / "steps" / f"{step.name}.log"
+    log.unlink(missing_ok=True)
+    environment = {**os.environ, "COLUMNS": "400", "NO_COLOR": "1"}
+    command = [sys.executable, "-m", "lacli", *step.arguments]
+    with while_wanted(wanted):
+        ended = supervise(command, cwd=folder, env=environment, log=log, timeout_s=_TIMEOUT_S, family=True)
+    if ended.cut == "cancelled":
+        raise Cancelled(f"cancelled during {step.name}; what is done is kept.")
+    if ended.exit_code != 0 or ended.cut:
+        said = [line for line in ended.last_lines if line.startswith("lacli: ")] or [w for w in ended.last_lines if w.strip()]
+        why = said[-1].removeprefix("lacli: ").strip() if said else f"exit code {ended.exit_code}"
+        raise InputError(f"{ended.cut + ': ' if ended.cut else ''}{why} (see {log})")
+    if not step.product.exists():
+        raise InputError(f"{step.name} left no {step.product} (see {log})")
+    content = {
+        "arguments": list(step.arguments),
+        "reads": before,
+        "cpu_s": ended.cpu_s,
+        "wall_s": ended.wall_s,
+        "lacli": __version__,
+    }
+    write_json(_mark(step, folder), content)

@@ -1,0 +1,139 @@
+"""A study's tables from its patients' folders: who was done, regions for ``lacli stats``, joint draws, models."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from lacli.base.documents import read_json
+from lacli.base.errors import AnatomyError, InputError
+from lacli.base.files import replacing, write_json
+from lacli.cohort.participants import Participant
+from lacli.cohort.study import Outcome
+from lacli.contracts.labels import BODY_REGIONS
+
+PATIENTS, REGIONS, DRAWS, MODELS, SUMMARY = "patients.csv", "regions.csv", "draws.csv", "models.csv", "summary.json"
+_DRAWS = 200
+
+
+def write_summary(study: Path, participants: Sequence[Participant], outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """Write the tables of all patients that are done; what is left out is said in ``notes``. Raises StorageError, InputError."""
+    done = {o.participant_id for o in outcomes if o.status == "done"}
+    notes: list[str] = []
+    regions, draws, models = [], [], []
+    for patient in participants:
+        if patient.identifier not in done:
+            continue
+        folder = study / patient.identifier
+        regions += _regions(patient, folder)
+        draws += _draws(patient, folder)
+        for fit in read_json(folder / "comparison.json")["fits"]:
+            models.append({"participant_id": patient.identifier, **fit})
+    table = pd.DataFrame(regions)
+    partial = [name for name in table.columns if table[name].isna().any()]
+    if partial:
+        notes.append(f"regions.csv lacks {', '.join(partial)}: not every patient has them.")
+    table = table.drop(columns=partial)
+    state = {o.participant_id: o for o in outcomes}
+    people = [
+        {"participant_id": p.identifier, "status": state[p.identifier].status, "step": state[p.identifier].step,
+         "reason": state[p.identifier].reason, "cpu_s": sum(state[p.identifier].cpu_s.values()), **p.others}
+        for p in participants if p.identifier in state
+    ]  # fmt: skip
+    for name, frame in (
+        (PATIENTS, pd.DataFrame(people)),
+        (REGIONS, table),
+        (DRAWS, pd.DataFrame(draws)),
+        (MODELS, pd.DataFrame(models)),
+    ):
+        if frame.empty:
+            (study / name).unlink(missing_ok=True)  # an earlier call's would show another result
+            continue
+        with replacing(study / name) as temporary:
+            frame.to_csv(temporary, index=False)
+    summary = {
+        "patients": len(people), "done": len(done), "failed": [o.participant_id for o in outcomes if o.status == "failed"],
+        "models": _over_patients(models), "notes": notes,
+    }  # fmt: skip
+    write_json(study / SUMMARY, summary)
+    return summary
+
+
+def median_cpu_s(study: Path) -> float | None:
+    """Median CPU seconds of the simulations that a study has made so far; None where there are none."""
+    from lacli.contracts.tables.file import read_frame
+
+    known: list[float] = []
+    for file in sorted(study.glob("*/calibration/runs.csv")):
+        frame = read_frame(file)
+        if "cpu_s" in frame:
+            seconds = pd.to_numeric(frame["cpu_s"], errors="coerce").to_numpy(float)
+            known += seconds[np.isfinite(seconds)].tolist()
+    return float(np.median(known)) if known else None
+
+
+def _over_patients(models: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """RMSE of each model over the patients, mean and sd as published; sd null for one patient."""
+    rows = []
+    for name in dict.fromkeys(m["name"] for m in models):
+        values = np.array([m["rmse_mm"] for m in models if m["name"] == name and m["rmse_mm"] is not None])
+        if len(values):
+            sd = float(values.std(ddof=1)) if len(values) > 1 else None
+            rows.append({"name": name, "patients": len(values), "rmse_mean_mm": float(values.mean()), "rmse_sd_mm": sd})
+    return rows
+
+
+def _regions(patient: Participant, folder: Path) -> list[dict[str, Any]]:
+    result = read_json(folder / "calibration" / "result.json")
+    posterior = {row["input"]: row for row in result["posterior"]}
+    fit = {row["feature"]: row for row in result["fit"]}
+    thickness = _thickness(patient, folder)
+    fat_file = folder / "fat" / "fat.json"
+    fat = read_json(fat_file)["windows"]["standard"]["per_region_ml"] if fat_file.is_file() else {}
+    rows = []
+    for region in BODY_REGIONS:
+        row: dict[str, Any] = {"participant_id": patient.identifier, "region": region}
+        for part in ("alpha", "c"):
+            for name in (f"{part}_{region}", f"{part}_{region}_kpa"):
+                if name in posterior:
+                    row[part], row[f"{part}_sd"] = posterior[name]["mean"], posterior[name]["sd"]
+        target = fit.get(f"d_{region}_mm")
+        row["d_mm"], row["d_mm_sd"] = (target["target"], target["sd"]) if target else (np.nan, np.nan)
+        row["thickness_mm"], row["fat_ml"] = thickness.get(region, np.nan), fat.get(region, np.nan)
+        rows.append(row)
+    return rows
+
+
+def _thickness(patient: Participant, folder: Path) -> dict[str, float]:
+    """Mean thickness by region, mm, along Laplace's lines; empty where there is no anatomy."""
+    from lacli.anatomy.wall.thickness import of_bundle
+    from lacli.contracts.bundle import load
+
+    bundle = patient.paths.get("bundle", folder / "anatomy")
+    if not bundle.is_dir():
+        return {}
+    try:
+        return {name: laplace for name, (_, laplace) in of_bundle(load(bundle)).per_region.items()}
+    except AnatomyError as error:
+        raise InputError(f"{patient.identifier}: {error}") from None
+
+
+def _draws(patient: Participant, folder: Path) -> list[dict[str, Any]]:
+    """At most 200 joint draws of the regions' alpha; none where not all of them were calibrated."""
+    from lacli.inference.sampling.posterior import load_chain
+
+    chain = load_chain(folder / "calibration" / "chain.npz")
+    names = [f"alpha_{region}" for region in BODY_REGIONS]
+    if not set(names) <= set(chain.names):
+        return []
+    flat = chain.flat()[:, [chain.names.index(name) for name in names]]
+    chosen = flat[np.linspace(0, len(flat) - 1, min(_DRAWS, len(flat))).astype(int)]
+    return [
+        {"participant_id": patient.identifier, "region": region, "draw": k, "alpha": value}
+        for k, draw in enumerate(chosen)
+        for region, value in zip(BODY_REGIONS, draw.tolist(), strict=True)
+    ]
