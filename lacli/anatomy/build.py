@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lacli.anatomy.coordinates import describe as coordinates
-from lacli.anatomy.inputs import extraction, patches, repair, voxels
+from lacli.anatomy.inputs import extraction, labelled, patches, repair, voxels
 from lacli.anatomy.inputs.anything import Mesh
 from lacli.anatomy.inputs.image import Image
 from lacli.anatomy.inputs.patches import Tagged
@@ -68,9 +68,15 @@ def from_labels(
     given: Landmarks | None = None,
     say: Say = print,
     wall: int | None = None,
+    vessels: Mapping[int, str] | None = None,
 ) -> Built:
-    """Bundle from a label map; ``la``, ``lv``: labels of the left atrium's and ventricle's blood, ``wall``: of its wall."""
+    """Bundle from a label map; ``la``, ``lv``: labels of the left atrium's and ventricle's blood, ``wall``: of its wall,
+    ``vessels``: of veins and appendage, where they have labels of their own (label -> opening, or candidate.VEIN)."""
     say("finding the blood pool")
+    vessels = {} if vessels is None else vessels
+    said = labelled.candidates(labels, la, vessels)
+    hint = labelled.unnamed(labels, la, {la, *vessels, *(k for k in (lv, wall) if k is not None)})
+    labels = labelled.joined(labels, la, vessels)
     pool = extraction.blood_pool(labels, la)
     notes = list(pool.notes)
     say("smoothing")
@@ -81,7 +87,14 @@ def from_labels(
     if lv is not None and contact is None:
         notes.append(f"label {lv} does not touch the atrium: the mitral plane is found from the shape")
     outer = None if wall is None else outer_surface(labels, la, wall, surface, options, notes)
-    return _from_closed(surface, seen, LPS, options, given, say, notes, pool.mask, outer)
+    try:
+        return _from_closed(surface, [*seen, *said], LPS, options, given, say, notes, pool.mask, outer)
+    except finding.OpeningsError as error:
+        if not hint:
+            raise
+        listing = ", ".join(str(k) for k in hint)
+        words = f"{error} Label{'s' * (len(hint) > 1)} {listing} touch the atrium: if they are its veins or its appendage, say so"
+        raise finding.OpeningsError(f"{words} (--labels la={la},laa=...,rspv=..., or pv=...).", error.readings) from error
 
 
 def outer_surface(labels: Image, la: int, wall: int, inner: Surface, options: Options, notes: list[str]) -> Surface:

@@ -18,8 +18,10 @@ import numpy as np
 
 from lacli.anatomy import build, quality
 from lacli.anatomy.build import Built, Options, Say
-from lacli.anatomy.inputs import anything, image, meshfile, surfacefile
+from lacli.anatomy.inputs import anything, image, labelled, meshfile, surfacefile
+from lacli.anatomy.opening_pictures import draw_readings
 from lacli.anatomy.openings import landmarks
+from lacli.anatomy.openings.finding import OpeningsError
 from lacli.base.errors import AnatomyError, StorageError, UsageError
 from lacli.base.processes.locks import lock
 from lacli.base.processes.process import answer_of
@@ -61,6 +63,23 @@ def naming(source: Path) -> Iterator[None]:
 
 
 @contextmanager
+def explaining(folder: Path) -> Iterator[None]:
+    """Openings that are not certain are drawn, and written as landmarks to correct, beside the bundle's ``folder``."""
+    try:
+        yield
+    except OpeningsError as error:
+        if not error.readings or error.surface is None:
+            raise
+        folder.absolute().parent.mkdir(parents=True, exist_ok=True)
+        file, picture = (folder.with_name(f"{folder.name}-{end}") for end in ("landmarks.toml", "readings.png"))
+        with storing(file):
+            landmarks.write(error.readings[0][1], file)
+        drawn = draw_readings(error.surface, error.readings, picture)
+        words = f"What was found is drawn in {picture} and written to {file}" if drawn else f"What was found is written to {file}"
+        raise OpeningsError(f"{error} {words}: correct that file and give it back with --landmarks.", error.readings) from error
+
+
+@contextmanager
 def storing(folder: Path) -> Iterator[None]:
     """What the system says while writing, as a StorageError."""
     try:
@@ -91,17 +110,31 @@ def built_from(
     frame: str,
     unit: str | None,
     say: Say,
+    meaning: str | None = None,
+    preset: str | None = None,
 ) -> Built:
     """The bundle of a label map or a surface, by the file's ending; ``say`` hears of each of the STEPS.
 
-    la, lv, wall: labels of a map (None: the only one; none). frame, unit: of a surface. Raises AnatomyError, UsageError.
+    la, lv, wall: labels of a map (None: the only one; none); meaning, preset: of labelled.read and labelled.preset, which
+    those win over. frame, unit: of a surface. Raises AnatomyError, UsageError.
     """
+    if (meaning is not None or preset is not None) and not image.is_image(source):
+        raise UsageError(f"{source}: --labels and --preset are for label maps.")
+    if meaning is not None and preset is not None:
+        raise UsageError("--labels and --preset both say what labels mean; give one of them.")
     meshfile.check_surface(source)
     given = None if landmarks_file is None else landmarks.read(landmarks_file)
     if image.is_image(source):
         labels = image.read_labels(source)
         volumes = image.label_volumes(labels)
-        return build.from_labels(labels, la_label(source, volumes, la), lv, options, given, say, wall)
+        said = labelled.Meaning()
+        if meaning is not None:
+            said = labelled.read(meaning)
+        elif preset is not None:
+            said = labelled.preset(preset, set(volumes))
+        la = la_label(source, volumes, said.la if la is None else la)
+        lv, wall = said.lv if lv is None else lv, said.wall if wall is None else wall
+        return build.from_labels(labels, la, lv, options, given, say, wall, said.vessels)
     if not anything.is_mesh(source):
         known = ", ".join((*image.SUFFIXES, *surfacefile.SUFFIXES, ".elem"))
         raise UsageError(f"{source}: the ending is not one of {known}.")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -64,11 +64,17 @@ def views(bundle: Bundle) -> list[tuple[str, FloatArray, FloatArray]]:
         tris = bundle.triangles[bundle.tags == PLANES[name], :3]
         if len(tris):
             centre[name] = bundle.points[tris].reshape(-1, 3).mean(axis=0)
-    if not {"mv", "rspv", "ripv", "lspv", "lipv"} <= set(centre):
+    return looks(centre)
+
+
+def looks(centre: Mapping[str, FloatArray]) -> list[tuple[str, FloatArray, FloatArray]]:
+    """As ``views``, from the centres (3,) of openings; a side with one vein has that one."""
+    right, left_ones = ([centre[n] for n in pair if n in centre] for pair in (("rspv", "ripv"), ("lspv", "lipv")))
+    if "mv" not in centre or not right or not left_ones:
         up, left = np.array([0.0, 0, 1]), np.array([1.0, 0, 0])
     else:
-        up = np.mean([centre[n] for n in ("rspv", "ripv", "lspv", "lipv")], axis=0) - centre["mv"]
-        left = centre["lspv"] + centre["lipv"] - centre["rspv"] - centre["ripv"]
+        up = (np.mean(right, axis=0) + np.mean(left_ones, axis=0)) / 2 - centre["mv"]
+        left = np.mean(left_ones, axis=0) - np.mean(right, axis=0)
     up = up / np.linalg.norm(up)
     left = left - (left @ up) * up
     left /= np.linalg.norm(left)
@@ -93,13 +99,13 @@ def _panels(file: Path, bundle: Bundle, panels: Sequence[Panel], columns: int, z
     """
     import pyvista as pv
 
-    looks = views(bundle)
+    sides = views(bundle)
     rows = -(-len(panels) // columns)
     plotter = pv.Plotter(off_screen=True, shape=(rows, columns), window_size=(620 * columns, 600 * rows), border=False)
     middle = (bundle.points.max(axis=0) + bundle.points.min(axis=0)) / 2
     reach = float(np.linalg.norm(np.ptp(bundle.points, axis=0)) / 2)
     for k, (look, text, draw) in enumerate(panels):
-        _, direction, up = looks[look]
+        _, direction, up = sides[look]
         plotter.subplot(k // columns, k % columns)
         plotter.set_background("white")
         draw(plotter)
@@ -112,7 +118,7 @@ def _panels(file: Path, bundle: Bundle, panels: Sequence[Panel], columns: int, z
         plotter.camera.position = middle + 5 * reach * direction
         plotter.camera.up = up
         plotter.camera.parallel_scale = zoom * reach
-    _shoot(plotter, file)
+    shoot(plotter, file)
 
 
 def _titled(bundle: Bundle, chosen: Sequence[int], title: str, draw: Callable[[Any], None]) -> list[Panel]:
@@ -133,7 +139,8 @@ def _bar(title: str) -> dict[str, Any]:
     }
 
 
-def _shoot(plotter: Any, file: Path) -> None:
+def shoot(plotter: Any, file: Path) -> None:
+    """Write what the plotter shows, whole or not at all."""
     temporary = file.with_name(f".part-{os.getpid()}-{file.name}")
     plotter.screenshot(str(temporary))
     plotter.close()
@@ -153,11 +160,11 @@ def regions(bundle: Bundle, file: Path) -> None:
                 plotter.add_mesh(surface.extract_cells(mine), color=colour, smooth_shading=False, **LIGHT)
 
     _panels(file, bundle, _titled(bundle, range(6), "Regions", draw), 3)
-    _legend(file, {**REGION_COLOURS, "rings": RING_COLOUR, "planes of the openings": PLANE_COLOUR})
+    add_legend(file, {**REGION_COLOURS, "rings": RING_COLOUR, "planes of the openings": PLANE_COLOUR})
 
 
-def _legend(file: Path, colours: dict[str, str]) -> None:
-    """Put a legend in black letters under a picture."""
+def add_legend(file: Path, colours: Mapping[str, str], below: Mapping[str, str] | None = None) -> None:
+    """Put a legend in black letters under a picture; ``below``: a second line of it."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -166,10 +173,16 @@ def _legend(file: Path, colours: dict[str, str]) -> None:
 
     pixels = plt.imread(file)
     height, width = pixels.shape[:2]
-    figure = plt.figure(figsize=(width / 150, height / 150 + 0.4), dpi=150)
-    figure.figimage(pixels, 0, 60)
-    handles = [Patch(facecolor=colour, edgecolor="black", linewidth=0.4, label=name) for name, colour in colours.items()]
-    figure.legend(handles=handles, loc="lower center", ncol=len(colours), frameon=False, fontsize=10)
+    lines = [line for line in (below, colours) if line]  # from the bottom up
+    room = 60 * len(lines)
+    figure = plt.figure(figsize=(width / 150, (height + room) / 150), dpi=150)
+    figure.figimage(pixels, 0, room)
+    for k, line in enumerate(lines):
+        handles = [Patch(facecolor=colour, edgecolor="black", linewidth=0.4, label=name) for name, colour in line.items()]
+        place = (0.5, 60 * k / (height + room))
+        figure.add_artist(
+            figure.legend(handles=handles, loc="lower center", bbox_to_anchor=place, ncol=len(line), frameon=False, fontsize=10)
+        )
     temporary = file.with_name(f".part-{os.getpid()}-{file.name}")
     figure.savefig(temporary)
     plt.close(figure)
@@ -273,8 +286,8 @@ def cuts(bundle: Bundle, file: Path) -> None:
 
         return draw
 
-    looks = views(bundle)
-    panels = [(i, f"cut, seen {looks[i][0]}", drawing(looks[i][1], bar=i == 4)) for i in (0, 2, 4)]
+    sides = views(bundle)
+    panels = [(i, f"cut, seen {sides[i][0]}", drawing(sides[i][1], bar=i == 4)) for i in (0, 2, 4)]
     _panels(file, bundle, panels, 3, zoom=0.75)
 
 

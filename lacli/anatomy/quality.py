@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from lacli.anatomy import pictures
+from lacli.anatomy import opening_pictures, pictures
 from lacli.anatomy.wall.thickness import Thickness, of_bundle
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.labels import REGIONS, RINGS
@@ -97,6 +97,8 @@ def draw(folder: Path) -> Iterator[str]:
 
     bundle = load(folder)
     thick = of_bundle(bundle)
+    opening_pictures.bundle_picture(bundle, folder / "openings.png")
+    yield "openings.png"
     pictures.square(bundle, folder / "uac.png")
     yield "uac.png"
     pictures.regions(bundle, folder / "regions.png")

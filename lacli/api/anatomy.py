@@ -38,6 +38,8 @@ def mesh(
     la: int | None = None,
     lv: int | None = None,
     wall: int | None = None,
+    labels: str | None = None,
+    preset: str | None = None,
     cell_size_mm: float = 3.5,
     thickness_mm: float = 2.0,
     order: int = 2,
@@ -57,7 +59,8 @@ def mesh(
     """The anatomy bundle of a label map or a surface, written whole to ``folder``, with its openings in landmarks.toml.
 
     Points (n, 3) are in mm: of images in ITK's LPS, else in the surface's own axes. la, lv, wall: labels of the atrium's
-    blood (None: the only one there), the ventricle's, the atrial wall; layers: cells through the wall (None: thickness over
+    blood (None: the only one there), the ventricle's, the atrial wall; labels: more of them, ``la=2,lv=3,laa=61,pv=53``;
+    preset: the same by the name of a published set; layers: cells through the wall (None: thickness over
     cell size); smoothing_mm: of voxels (None: 1.25 coarsest spacings); landmarks: a landmarks.toml that wins over what is
     found; fibres: ``laplace-dirichlet``, ``uac``, or a file with fibres; frame: of a surface, ``lps``, ``ras`` or
     ``unknown``; unit: of a mesh file (None: told from its size); also: files that get the wall too.
@@ -77,8 +80,8 @@ def mesh(
     own_fibres = None if own is None else meshfile.read_fibres(own)
     start = time.process_time()
     stage = Stage("reading", meshing.STEPS, progress, cancel).begin()
-    with meshing.naming(source):
-        built = meshing.built_from(source, la, lv, wall, options, landmarks, frame, unit, stage.next)
+    with meshing.naming(source), meshing.explaining(folder):
+        built = meshing.built_from(source, la, lv, wall, options, landmarks, frame, unit, stage.next, labels, preset)
     if own_fibres is not None:
         built = replace(built, bundle=replace(built.bundle, fibre=meshfile.carry_fibres(built.bundle, *own_fibres)))
     with meshing.storing(folder):

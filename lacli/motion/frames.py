@@ -118,8 +118,7 @@ def _file(path: Path) -> list[Source]:
     """One frame, or those of a 4-D file."""
     import SimpleITK as sitk
 
-    reader = sitk.ImageFileReader()
-    reader.SetFileName(str(path))
+    reader = opened(path)
     sitk.ProcessObject_SetGlobalWarningDisplay(False)
     try:
         reader.ReadImageInformation()
@@ -175,8 +174,7 @@ def read(source: Source) -> Image:
 def _read_one_of(source: Source) -> Image:
     import SimpleITK as sitk
 
-    reader = sitk.ImageFileReader()
-    reader.SetFileName(str(source.path))
+    reader = opened(source.path)
     try:
         reader.ReadImageInformation()
         size = list(reader.GetSize())

@@ -19,6 +19,9 @@ from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import AnatomyError, InputError
 
 SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz", ".mha", ".mhd", ".hdr", ".img")
+_FORMATS = {
+    (".nrrd", ".nhdr"): "NrrdImageIO", (".mha", ".mhd"): "MetaImageIO", (".nii", ".nii.gz", ".hdr", ".img"): "NiftiImageIO",
+}  # fmt: skip
 MOST_BYTES = 1 << 30  # of voxels: 512 x 512 x 2048 of 16 bits
 LEAST_SPACING_MM, MOST_SPACING_MM = 0.02, 20.0
 MOST_TILT_DEG = 0.1  # off a right angle: what rounding in a header may do
@@ -91,6 +94,19 @@ def is_image(path: Path) -> bool:
     return path.name.lower().endswith(SUFFIXES)
 
 
+def opened(path: Path) -> Any:
+    """ITK's reader of the file, by the format of its ending: what the content looks like is not tried, for the readers of other
+    formats (libpng, HDF5) have words of their own for what they find."""
+    import SimpleITK as sitk
+
+    reader = sitk.ImageFileReader()
+    reader.SetFileName(str(path))
+    name = next((format_ for endings, format_ in _FORMATS.items() if path.name.lower().endswith(endings)), None)
+    if name is not None:
+        reader.SetImageIO(name)
+    return reader
+
+
 def read(path: Path) -> Image:
     """Read a 3-D scalar image.
 
@@ -109,8 +125,7 @@ def read(path: Path) -> Image:
     grid = None if header is None else _nifti_grid(path, header)  # before the library, which has words of its own for it
     _check_nrrd(path)
     sitk.ProcessObject_SetGlobalWarningDisplay(False)
-    reader = sitk.ImageFileReader()
-    reader.SetFileName(str(path))
+    reader = opened(path)
     try:
         reader.ReadImageInformation()
         _check_components(path, reader.GetNumberOfComponents())

@@ -26,7 +26,7 @@ TURNS_DEG = (12.0, 24.0)
 LEVELS_MM = (0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0, 4.5)
 LEAST_REACH_MM = 6.0
 KNOWN_TIP_MM = 5.0  # a point beyond nearer than that is no tip that was found
-MOST_AREA = 3.0  # of the opening's own: a larger section is the body's
+MOST_AREA = 2.0  # of the opening's own (1.4 of its diameter): a larger section is the body's
 FEWEST = 8  # points of a rim
 
 

@@ -25,6 +25,15 @@ HOLE_MM = 6.0  # an unnamed rim narrower than that is a hole, a wider one a furt
 AT_RIM = 0.8  # a branch that ends within that many diameters of a rim is the rim's vessel
 
 
+class OpeningsError(AnatomyError):
+    """Openings that are not certain or not there; ``readings``: title and landmarks of each way to read what there is, the
+    likeliest first; ``surface``: what they lie on, once known."""
+
+    def __init__(self, words: str, readings: Sequence[tuple[str, Landmarks]] = (), surface: Surface | None = None) -> None:
+        super().__init__(words)
+        self.readings, self.surface = tuple(readings), surface
+
+
 @dataclass(frozen=True)
 class Found:
     """Landmarks, all candidates, and the readings of them (None where all openings were given)."""
@@ -59,15 +68,16 @@ def find(
     everything, branch_of = gather(surface, seen, skeleton, given)
     named = naming.assign(everything, axes)
     if named is None or (len(everything) < 5 and named.best.trunk is None):
-        raise AnatomyError(too_few(everything))
+        raise OpeningsError(too_few(everything), readings(everything, named), surface)
     if named.best.missing:
-        raise AnatomyError(without(named.best, everything))
+        raise OpeningsError(without(named.best, everything), readings(everything, named), surface)
     notes: list[str] = []
     valve = everything[named.best.names["mv"]]
     words = doubts(everything, named)
     if valve.source == GUESS:
         guess = f"the mitral valve is closed in the file and was placed by the shape alone ({valve.words()})"
-        if axes is None or valve.said:  # without axes, or opposite the veins: all names would follow from a guess
+        # without axes, opposite the veins, or where the veins contradict it: all names would follow from a guess
+        if axes is None or valve.said or named.best.cost > naming.MOST_COST:
             named = replace(named, confidence=min(named.confidence, GUESSED))
             words = (
                 f"{guess}; all names would follow from it. Give [mv] in landmarks.toml (centre, normal out of the "
@@ -77,10 +87,10 @@ def find(
             notes.append(f"{guess}: look at it, and correct it in landmarks.toml")
     if named.best.cost > naming.MOST_COST:
         named = replace(named, confidence=min(named.confidence, GUESSED))
-        words = words or doubts(everything, named)
+        words = words if valve.source == GUESS else doubts(everything, named)
     if named.confidence < naming.LEAST_CONFIDENCE:
         if not accept_low_confidence:
-            raise AnatomyError(words)
+            raise OpeningsError(words, readings(everything, named), surface)
         notes.append(words)
     if named.best.mirrored:
         notes.append(
@@ -243,6 +253,30 @@ def _further(
         found[name] = replace(made, takes=near)
         notes.append(f"a fifth vein ({candidate.words()}) takes the ring of {near.upper()}, its neighbour")
     return found
+
+
+def readings(everything: Sequence[Candidate], named: naming.Naming | None) -> list[tuple[str, Landmarks]]:
+    """Title and landmarks of the likeliest readings (two at most); candidates without a name where there is none."""
+    if named is None:
+        return [
+            ("found, without names", Landmarks({f"extra{k + 1}": _sketch(f"extra{k + 1}", c) for k, c in enumerate(everything)}))
+        ]
+    found = []
+    for title, reading in (("first reading", named.best), ("second reading", named.second)):
+        if reading is None:
+            continue
+        openings = {n: _sketch(n, everything[i]) for n, i in reading.names.items()}
+        if reading.trunk is not None:
+            one, two = halves(everything[reading.names[reading.trunk[0]]])
+            openings |= {n: _sketch(n, c) for n, c in zip(reading.trunk, (one, two), strict=True)}
+        words = f"{title}: {reading.missing.upper()} is missing" if reading.missing else title
+        found.append((words, Landmarks(openings)))
+    return found
+
+
+def _sketch(name: str, candidate: Candidate) -> Opening:
+    beyond = candidate.centre + 2.0 * candidate.direction if candidate.tip is None else candidate.tip
+    return Opening(name, candidate.centre, candidate.direction, beyond, candidate.diameter_mm, 0.0, candidate.source)
 
 
 def too_few(everything: Sequence[Candidate]) -> str:

@@ -11,6 +11,16 @@ from lacli.api import anatomy
 from lacli.cli.terminal.console import err, one_bar, out, print_json, print_table
 
 
+def _presets(asked: bool) -> None:
+    if not asked:
+        return
+    from lacli.anatomy.inputs.labelled import PRESETS
+
+    for name, (labels, of) in PRESETS.items():
+        out.print(f"{name}: {labels}\n    {of}", highlight=False, soft_wrap=True)
+    raise typer.Exit
+
+
 def command(
     source: Annotated[
         Path,
@@ -28,6 +38,16 @@ def command(
     wall: Annotated[
         int | None, typer.Option("--wall", help="Label of the atrial wall; without it the wall has the thickness below.")
     ] = None,
+    labels: Annotated[
+        str | None,
+        typer.Option("--labels", help="All labels at once: la=2,lv=3,wall=9,laa=61,pv=53 (or rspv=, ripv=, lspv=, lipv=)."),
+    ] = None,
+    preset: Annotated[
+        str | None, typer.Option("--preset", help="Labels by the name of a published set; --presets prints them.")
+    ] = None,
+    presets: Annotated[
+        bool, typer.Option("--presets", help="Print the sets that --preset knows, and end.", is_eager=True, callback=_presets)
+    ] = False,
     cell_size_mm: Annotated[
         float,
         typer.Option("--cell-size-mm", help="Edge length of the cells, mm; how accuracy and cost depend on it: README."),
@@ -75,8 +95,9 @@ def command(
     """
     with one_bar("reading") as show:
         made = anatomy.mesh(
-            source, folder, la=la, lv=lv, wall=wall, cell_size_mm=cell_size_mm, thickness_mm=thickness_mm, order=order,
-            layers=layers, ring_width_mm=ring_width_mm, smoothing_mm=smoothing_mm, landmarks=landmarks_file, fibres=fibres,
+            source, folder, la=la, lv=lv, wall=wall, labels=labels, preset=preset,
+            cell_size_mm=cell_size_mm, thickness_mm=thickness_mm, order=order, layers=layers,
+            ring_width_mm=ring_width_mm, smoothing_mm=smoothing_mm, landmarks=landmarks_file, fibres=fibres,
             frame=frame, unit=unit, accept_low_confidence=accept_low_confidence, also=also or (), figures=pictures, progress=show,
         )  # fmt: skip
     for text in made.warnings:

@@ -1,0 +1,138 @@
+"""What the labels of a map mean: given one by one, or by the name of a published set."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy import ndimage
+
+from lacli.anatomy.inputs.image import Image
+from lacli.anatomy.openings.candidate import PATCH, VEIN, Candidate
+from lacli.anatomy.openings.ostium import across
+from lacli.base.arrays import BoolArray
+from lacli.base.errors import AnatomyError, UsageError
+
+VESSELS = {"laa": "appendage", "appendage": "appendage", "pv": VEIN} | {n: n for n in ("rspv", "ripv", "lspv", "lipv")}
+NAMES = ("la", "lv", "wall", *VESSELS)
+LEAST_ML = 0.02  # of a piece of a vessel's label: smaller ones are specks
+LEAST_CONTACT_MM2 = 12.0  # of a vessel with the atrium
+
+# label numbers as the sets' own documentation has them; "+" where two labels are one thing
+PRESETS = {
+    "totalsegmentator": (
+        "la=2,lv=3,laa=61,pv=53",
+        "heartchambers_highres (2, 3), with labels 61 and 53 of the task total (version 2) written into the same map",
+    ),
+    "four-chamber": (
+        "la=4,lv=1,wall=104,laa=12,pv=8+9+10+11",
+        "CemrgApp's four-chamber pipeline (LA_BP_label 4, LPV1 - RPV2 8 - 11, LAA 12, LA_myo_label 104)",
+    ),
+    "mmwhs": ("la=420,lv=500", "MM-WHS challenge, blood of left atrium (veins and appendage in it) and ventricle"),
+}
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """Labels of the atrium's blood, the ventricle's and the atrial wall, and of vessels: label -> opening, or VEIN."""
+
+    la: int | None = None
+    lv: int | None = None
+    wall: int | None = None
+    vessels: Mapping[int, str] = field(default_factory=dict)
+
+
+def read(text: str) -> Meaning:
+    """From ``la=2,lv=3,laa=61,pv=53+54``. Raises UsageError on names, numbers and repeats that are none."""
+    meaning, seen = Meaning(), dict[int, str]()
+    for part in text.split(","):
+        found = re.fullmatch(r"\s*([a-z]+)\s*=\s*(\d{1,9}(?:\+\d{1,9})*)\s*", part.lower())
+        if found is None or found[1] not in NAMES:
+            raise UsageError(
+                f"--labels: '{part.strip()[:40]}' is not NAME=NUMBER with a name of {', '.join(NAMES)} (pv=7+8 for two)."
+            )
+        name, values = found[1], [int(v) for v in found[2].split("+")]
+        for value in values:
+            if value == 0 or value in seen:
+                raise UsageError(f"--labels: label {value} is {'the background' if value == 0 else f'{seen[value]} and {name}'}.")
+            seen[value] = name
+        if name in VESSELS:
+            meaning = replace(meaning, vessels={**meaning.vessels, **dict.fromkeys(values, VESSELS[name])})
+        elif len(values) > 1 or getattr(meaning, name) is not None:
+            raise UsageError(f"--labels: {name} is one label.")
+        else:
+            numbers = {"la": meaning.la, "lv": meaning.lv, "wall": meaning.wall, name: values[0]}
+            meaning = Meaning(numbers["la"], numbers["lv"], numbers["wall"], meaning.vessels)
+    return meaning
+
+
+def preset(name: str, present: set[int]) -> Meaning:
+    """Of a published set, without what the map does not have. Raises UsageError on other names."""
+    if name not in PRESETS:
+        raise UsageError(f"--preset is '{name}'; it must be one of {', '.join(PRESETS)} (--presets prints them).")
+    whole = read(PRESETS[name][0])
+    vessels = {label: what for label, what in whole.vessels.items() if label in present}
+    lv, wall = (value if value in present else None for value in (whole.lv, whole.wall))
+    return replace(whole, lv=lv, wall=wall, vessels=vessels)
+
+
+def joined(labels: Image, la: int, vessels: Mapping[int, str]) -> Image:
+    """The map with all vessels' labels as the atrium's blood. Raises AnatomyError where one has no voxel."""
+    for value in vessels:
+        if not (labels.array == value).any():
+            raise AnatomyError(f"label {value} ({vessels[value]}) has no voxel in the image; leave it out of --labels.")
+    return labels.with_array(np.where(np.isin(labels.array, list(vessels)), la, labels.array)) if vessels else labels
+
+
+def candidates(labels: Image, la: int, vessels: Mapping[int, str]) -> list[Candidate]:
+    """A candidate for each place where a vessel's label meets the atrium's: its ostium, looking along the vessel."""
+    if not vessels:
+        return []
+    beside = ndimage.binary_dilation(labels.array == la)
+    found = []
+    for value, said in vessels.items():
+        mine = labels.array == value
+        parts, count = ndimage.label(mine, structure=np.ones((3, 3, 3)))
+        pieces = [parts == k for k in range(1, count + 1)]
+        pieces = [p for p in pieces if p.sum() * labels.voxel_ml >= LEAST_ML]
+        meetings = [m for piece in pieces for m in _meetings(piece, piece & beside)]
+        made = [c for piece, contact in meetings if (c := _of_contact(labels, piece, contact, said)) is not None]
+        if said != VEIN:
+            made = sorted(made, key=lambda c: -c.area_mm2)[:1]
+        found += made
+    return found
+
+
+def _meetings(piece: BoolArray, contact: BoolArray) -> list[tuple[BoolArray, BoolArray]]:
+    """The piece of a label with each of its places of contact (two veins of one label may hang together)."""
+    parts, count = ndimage.label(contact, structure=np.ones((3, 3, 3)))
+    return [(piece, parts == k) for k in range(1, count + 1)]
+
+
+def _of_contact(labels: Image, piece: BoolArray, contact: BoolArray, said: str) -> Candidate | None:
+    area = float(contact.sum()) * (1000.0 * labels.voxel_ml) ** (2 / 3)
+    if area < LEAST_CONTACT_MM2:
+        return None
+    ostium = labels.to_world(np.argwhere(contact)[:, ::-1].astype(float)).mean(axis=0)
+    vessel = labels.to_world(np.argwhere(piece)[:, ::-1].astype(float))
+    away = np.linalg.norm(vessel - ostium, axis=1)
+    near = vessel[away < max(12.0, 0.5 * float(away.max()))]
+    way = near.mean(axis=0) - ostium
+    if np.linalg.norm(way) < 1e-6:
+        return None
+    way = way / np.linalg.norm(way)
+    half = across(way) * np.sqrt(area / np.pi)
+    return Candidate(
+        ostium, way, area, PATCH, half, float(((vessel - ostium) @ way).max()), vessel[int(away.argmax())], said=said
+    )
+
+
+def unnamed(labels: Image, la: int, known: set[int], least_ml: float = 0.1) -> list[int]:
+    """Labels that touch the atrium and are much smaller than it: vessels, maybe."""
+    body = labels.array == la
+    touching, count = np.unique(labels.array[ndimage.binary_dilation(body, iterations=2) & ~body], return_counts=True)
+    size = {int(v): float((labels.array == v).sum()) * labels.voxel_ml for v in touching[count > 10] if v and int(v) not in known}
+    whole = float(body.sum()) * labels.voxel_ml
+    return [v for v, ml in size.items() if least_ml < ml < 0.25 * whole]
