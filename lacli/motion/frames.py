@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from lacli.anatomy.inputs import image as images
-from lacli.anatomy.inputs.image import Image
+from lacli.anatomy.inputs.image import Image, opened
 from lacli.anatomy.surface_features import Endocardium
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import InputError, UsageError
@@ -172,7 +172,6 @@ def read(source: Source) -> Image:
 
 
 def _read_one_of(source: Source) -> Image:
-    import SimpleITK as sitk
 
     reader = opened(source.path)
     try:

@@ -7,6 +7,7 @@ RAS affine is turned by the reader. Arrays are indexed [k, j, i] (ITK's index re
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -124,6 +125,7 @@ def read(path: Path) -> Image:
         _check_size(path, header.shape, header.voxel_bytes)
     grid = None if header is None else _nifti_grid(path, header)  # before the library, which has words of its own for it
     _check_nrrd(path)
+    _check_meta(path)
     sitk.ProcessObject_SetGlobalWarningDisplay(False)
     reader = opened(path)
     try:
@@ -259,6 +261,17 @@ def _check_spacing(path: Path, spacing: FloatArray, unit: str) -> None:
         raise InputError(f"{words}; the header says the lengths are {unit}: correct xyzt_units.")
     meant = length_unit(float(np.median(spacing)), 0.1, 5.0)
     raise InputError(f"{words}{meant.replace('lengths', 'spacings')}.")
+
+
+def _check_meta(path: Path) -> None:
+    """A MetaImage's header is lines ``key = value``, the number of dimensions among the first; what is none, its reader reports
+    in words of its own."""
+    if not path.name.lower().endswith((".mha", ".mhd")):
+        return
+    with path.open("rb") as stream:
+        head = stream.read(65536)
+    if not re.search(rb"^\s*NDims\s*=\s*\d", head, re.MULTILINE):
+        raise InputError(f"{path}: the image cannot be read, its header names no number of dimensions (NDims): not a MetaImage.")
 
 
 def _check_nrrd(path: Path) -> None:
