@@ -87,6 +87,8 @@ class Range:
         label = [*LACLI, "synthesize", str(folder / "syn"), "--cell-size-mm", "8", "--image", "--voxel-mm", "2"]
         subprocess.run(label, check=True, capture_output=True)
         self.cache = folder / "cache"
+        self.seed = folder / "seed"
+        self._runs()
 
     def _tables(self) -> None:
         """Runs and targets for a calibration that makes no run itself."""
@@ -101,6 +103,37 @@ class Range:
         text = "[targets]\nd_global_mm = { mean = 3.7, sd = 0.1 }\nesv_ml = { mean = 77.0, sd = 1.0 }\n"
         (self.folder / "targets.toml").write_text(text)
 
+    def _runs(self) -> None:
+        """A store that holds most runs of a calibration of the scene, so that a few are left for each shot."""
+        (self.folder / "box.toml").write_text("[box]\nc_roof_kpa = [0.5, 4.0]\nalpha_roof = [0.5, 2.0]\n")
+        at = self.folder / "first"
+        environment = {**os.environ, "XDG_CACHE_HOME": str(self.cache), "OMP_NUM_THREADS": "1"}
+        subprocess.run(
+            [*LACLI, "simulate", str(self.scene), "--out", f"{at}/runs", "--no-figures"],
+            check=True, capture_output=True, env=environment,
+        )  # fmt: skip
+        (found,) = features(at).values()
+        text = f"[targets]\nd_roof_mm = {{ mean = {found['d_roof_mm']}, sd = 0.3 }}\n"
+        (self.folder / "of_runs.toml").write_text(text)
+        subprocess.run([*LACLI, *self.calibrate_runs(at)], check=True, capture_output=True, env=environment)
+        shutil.copytree(at / "runs", self.seed / "runs", ignore=shutil.ignore_patterns(".*"))
+        for number, run in enumerate(sorted((self.seed / "runs").iterdir())):
+            if number % 5 == 0:
+                shutil.rmtree(run)
+
+    def calibrate_runs(self, at: Path) -> list[str]:
+        """A calibration that makes runs: one wave, and those at its answer."""
+        words = [
+            "calibrate",
+            str(self.scene),
+            "--targets",
+            str(self.folder / "of_runs.toml"),
+            "--box",
+            str(self.folder / "box.toml"),
+        ]
+        words += ["--first-runs", "12", "--max-waves", "1", "--ess", "300", "--workers", "1", "--no-figures", "--json"]
+        return [*words, "--store", f"{at}/runs", "--out", f"{at}/calibration"]
+
     def targets(self) -> list[Target]:
         scene = str(self.scene)
         simulate = ["simulate", scene, "--json"]
@@ -113,12 +146,13 @@ class Range:
             Target("simulate, pictures", lambda at: [*simulate, "--out", f"{at}/runs"], features),
             Target("design", lambda at: [*design, "--store", f"{at}/runs", "--out", f"{at}/design.csv"], rows),
             Target("calibrate", lambda at: [*calibrate, "--out", f"{at}/calibration"], chains),
+            Target("calibrate, runs", self.calibrate_runs, chains, self.seed),
             Target("mesh", lambda at: [*mesh, "--out", f"{at}/bundle", "--no-pictures"], bundle_of),
             Target("simulate, compiling", lambda at: [*simulate, "--out", f"{at}/runs", "--no-figures"], features, None, True),
         ]
 
 
-def features(at: Path) -> object:
+def features(at: Path) -> dict[str, dict[str, float]]:
     """Features of all runs below ``at``, by key, without their cost."""
     found = {file.parent.name: json.loads(file.read_text()) for file in sorted((at / "runs").glob("*/features.json"))}
     return {key: {n: v for n, v in values.items() if n not in UNTOLD} for key, values in found.items()}
@@ -339,7 +373,7 @@ def plan(targets: list[Target], shots: int, chance: random.Random) -> Iterator[t
         if number % 25 == 24:
             yield compiling, chance.choice(["compiler", "lacli"]), chance.choice(SIGNALS)
         elif number % 3 == 2:
-            runs = [target for target in quick if target.name.startswith(("simulate", "design"))]
+            runs = [target for target in quick if target.name.startswith(("simulate", "design", "calibrate, runs"))]
             target = chance.choice(runs)
             yield target, "FreeFEM" if target.name.startswith("simulate") else chance.choice(["FreeFEM", "worker"]), how
         else:

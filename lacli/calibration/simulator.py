@@ -36,7 +36,7 @@ class SceneSimulator:
         errors = self._errors()
         scenes = [with_parameters(self.scene, {str(k): float(v) for k, v in row.items()}) for row in inputs.to_dict("records")]
         for index, result in run_scenes(scenes, self.root, workers=self.workers, scheduler=self.scheduler):
-            yield index, _outcome(result, errors)
+            yield index, _outcome(result, errors, framed=bool(self.scene.outputs.times))
 
     def determined_by(self, inputs: Sequence[str]) -> Mapping[str, Any]:
         """The scene but for what the inputs set, the bundle's content, FreeFEM's scripts and version, the errors of a run.
@@ -102,7 +102,7 @@ def times_of(names: Sequence[str]) -> tuple[float, ...]:
     return tuple(sorted(found))
 
 
-def _outcome(result: RunResult, errors: dict[str, float]) -> Outcome:
+def _outcome(result: RunResult, errors: dict[str, float], framed: bool) -> Outcome:
     from lacli.inference.runs import Outcome
     from lacli.mechanics.sensitivities import load_sensitivities
 
@@ -110,8 +110,10 @@ def _outcome(result: RunResult, errors: dict[str, float]) -> Outcome:
     outputs = {k: float(v) for k, v in features.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
     gradients: dict[tuple[str, str], float] = {}
     if features:
-        framed, es = _frames(result.folder)
-        outputs |= framed
+        es = None
+        if framed:
+            of_frames, es = _frames(result.folder)
+            outputs |= of_frames
         if (table := load_sensitivities(result.folder)) is not None:
             gradients = {
                 (name, str(given)): float(value)
@@ -142,7 +144,7 @@ def _frames(folder: Path) -> tuple[dict[str, float], float]:
     return found, float(reservoir.max())
 
 
-def _also(name: str, es: float) -> list[str]:
-    """The name at its time, of a feature at end-systole."""
+def _also(name: str, es: float | None) -> list[str]:
+    """The name at its time, of a feature at end-systole, where that is known."""
     key = {"esv_ml": "volume_ml"}.get(name, name)
-    return [at_time(key, es)] if "@" not in name and key in KEYS and key != "edv_ml" else []
+    return [at_time(key, es)] if es is not None and "@" not in name and key in KEYS and key != "edv_ml" else []

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from lacli.anatomy.inputs.image import Image
+from lacli.anatomy.inputs.image import Image, opened
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import InputError
 
@@ -133,7 +133,7 @@ def read_field(path: Path, frame: Frame = "lps") -> Field:
         raise InputError(f"{path}: no such file.")
     sitk.ProcessObject_SetGlobalWarningDisplay(False)
     try:
-        image = sitk.ReadImage(str(path))
+        image = opened(path).Execute()
     except RuntimeError as error:
         reason = [line.strip() for line in str(error).splitlines() if line.strip()][-1]
         raise InputError(f"{path}: the displacement field cannot be read ({reason[:200]}).") from None

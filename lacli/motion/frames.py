@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from lacli.anatomy.inputs import image as images
-from lacli.anatomy.inputs.image import Image
+from lacli.anatomy.inputs.image import Image, opened
 from lacli.anatomy.surface_features import Endocardium
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import InputError, UsageError
@@ -118,8 +118,7 @@ def _file(path: Path) -> list[Source]:
     """One frame, or those of a 4-D file."""
     import SimpleITK as sitk
 
-    reader = sitk.ImageFileReader()
-    reader.SetFileName(str(path))
+    reader = opened(path)
     sitk.ProcessObject_SetGlobalWarningDisplay(False)
     try:
         reader.ReadImageInformation()
@@ -173,10 +172,8 @@ def read(source: Source) -> Image:
 
 
 def _read_one_of(source: Source) -> Image:
-    import SimpleITK as sitk
 
-    reader = sitk.ImageFileReader()
-    reader.SetFileName(str(source.path))
+    reader = opened(source.path)
     try:
         reader.ReadImageInformation()
         size = list(reader.GetSize())

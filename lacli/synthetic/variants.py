@@ -14,6 +14,7 @@ import numpy as np
 from lacli.anatomy.coordinates.frame import unit
 from lacli.anatomy.openings.cut import Cut, cut_open
 from lacli.base.arrays import FloatArray
+from lacli.base.errors import AnatomyError
 from lacli.contracts.labels import PLANES, is_plane, plane_of
 from lacli.geometry.surface import Surface
 from lacli.synthetic.atrium import GRID_MM, isosurface
@@ -25,7 +26,10 @@ TILT_DEG = 25.0
 
 
 def write(folder: Path, seeds: Iterable[int], only: str = "") -> None:
-    """A surface per seed and variant (those whose file's name holds ``only``), open at its planes, and ``truth.json``."""
+    """A surface per seed and variant (those whose file's name holds ``only``), open at its planes, and ``truth.json``.
+
+    The few that cannot be cut in their form are left out.
+    """
     import pyvista as pv
 
     truth: list[dict[str, Any]] = []
@@ -34,7 +38,10 @@ def write(folder: Path, seeds: Iterable[int], only: str = "") -> None:
             name = f"{variant}_{seed:03d}.vtp"
             if only not in name:
                 continue
-            points, triangles, openings = make(seed, variant)
+            try:
+                points, triangles, openings = make(seed, variant)
+            except AnatomyError:  # a seed whose vessels leave no room for this form: said by its absence
+                continue
             pv.PolyData.from_regular_faces(points, triangles).save(folder / name)
             truth.append(
                 {
@@ -108,6 +115,8 @@ def _cuts(shape: Shape, variant: str, rng: np.random.Generator) -> tuple[Shape, 
         if variant == "oblique" and name != "mv":
             aside = unit(np.cross(way, rng.normal(size=3)))
             way = unit(way + np.tan(np.radians(TILT_DEG)) * aside)
+            # farther out, so that the lower side of the slanted section stays clear of the flare
+            centre, reach = centre + 1.2 * np.tan(np.radians(TILT_DEG)) * tube.radius_start * tube.direction, 1.3 * reach
         cuts.append(Cut(centre, way, reach, PLANES.get(name, FIFTH)))
     return shape, cuts
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from lacli.base.errors import MachineError
-from lacli.base.processes.locks import lock
+from lacli.base.processes.locks import lock, working_on
 from lacli.base.processes.process import while_wanted
 
 HOLD = """
@@ -23,7 +23,7 @@ def none(*_):
     raise OSError(errno.ENOLCK, "No locks available")
 if sys.argv[2] == "soft":
     fcntl.flock = none
-from lacli.base.processes.locks import lock
+from lacli.base.processes.locks import lock, working_on
 with lock(Path(sys.argv[1]), "which does the same"):
     print("held", flush=True)
     time.sleep(float(sys.argv[3]))
@@ -89,3 +89,24 @@ def test_a_wait_that_is_no_longer_wanted_ends(tmp_path: Path) -> None:
         with pytest.raises(MachineError, match="cancelled"), while_wanted(lambda: False), lock(path, "which does it"):
             pass
         other.kill()
+
+
+def test_a_second_process_waits_for_the_one_that_fills_a_place(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A table whose folder is still to be made; the second one begins when the first has ended, and says for whom it waited."""
+    out = tmp_path / "new" / "runs.csv"
+    body = f"""
+import time
+from pathlib import Path
+from lacli.base.processes.locks import working_on
+out = Path({str(out)!r})
+with working_on(out):
+    print("held", flush=True)
+    time.sleep(1)
+    out.write_text("first")
+"""
+    with subprocess.Popen([sys.executable, "-c", body], stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None and other.stdout.readline() == "held\n"
+        with working_on(out):
+            assert out.read_text() == "first"
+    assert f"waiting for process {other.pid} on " in caplog.text and f"which fills {out}" in caplog.text
+    assert [path.name for path in out.parent.iterdir()] == ["runs.csv"]

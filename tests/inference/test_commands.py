@@ -230,7 +230,7 @@ def test_a_design_that_was_looked_at_first_is_run(tmp_path, monkeypatch):
             yield from ((i, Outcome({"esv_ml": 90.0})) for i in range(len(inputs)))
 
     (tmp_path / "scene.toml").write_text('[anatomy]\nbundle = "la"\n')
-    monkeypatch.setattr("lacli.calibration.simulator.simulator", lambda *_: Simulator())
+    monkeypatch.setattr("lacli.calibration.simulator.simulator", lambda *_, **__: Simulator())
     call("design", "-n", 4, "--out", tmp_path / "d.csv")
     for _ in range(2):  # the second time all are known
         result = document("design", tmp_path / "scene.toml", "-n", 4, "--run", "--out", tmp_path / "d.csv")

@@ -201,3 +201,21 @@ def test_cluster_without_dask_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(UsageError, match=r"pip install 'lacli\[cluster\]'"):
         list(run_scenes([], tmp_path, scheduler="tcp://nowhere:1", task=stored))
+
+
+def test_a_worker_that_is_interrupted_as_it_starts_is_told_and_replaced(
+    scene_of: SceneOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    hire, hired = pool._hire, []
+
+    def shot_once(*arguments: Any) -> pool.Worker:
+        worker = hire(*arguments)
+        if not hired:
+            worker.process.send_signal(signal.SIGINT)
+        hired.append(worker)
+        return worker
+
+    monkeypatch.setattr(pool, "_hire", shot_once)
+    results = dict(run_scenes(scenes(scene_of, 0.1), tmp_path / "runs", workers=1, task=stored))
+    assert results[0].status == "done" and len(hired) == 2
+    assert "killed from outside (SIGINT" in caplog.text and "Tried once more" in caplog.text

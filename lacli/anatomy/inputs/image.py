@@ -7,6 +7,7 @@ RAS affine is turned by the reader. Arrays are indexed [k, j, i] (ITK's index re
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,9 @@ from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import AnatomyError, InputError
 
 SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz", ".mha", ".mhd", ".hdr", ".img")
+_FORMATS = {
+    (".nrrd", ".nhdr"): "NrrdImageIO", (".mha", ".mhd"): "MetaImageIO", (".nii", ".nii.gz", ".hdr", ".img"): "NiftiImageIO",
+}  # fmt: skip
 MOST_BYTES = 1 << 30  # of voxels: 512 x 512 x 2048 of 16 bits
 LEAST_SPACING_MM, MOST_SPACING_MM = 0.02, 20.0
 MOST_TILT_DEG = 0.1  # off a right angle: what rounding in a header may do
@@ -91,6 +95,19 @@ def is_image(path: Path) -> bool:
     return path.name.lower().endswith(SUFFIXES)
 
 
+def opened(path: Path) -> Any:
+    """ITK's reader of the file, by the format of its ending: what the content looks like is not tried, for the readers of other
+    formats (libpng, HDF5) have words of their own for what they find."""
+    import SimpleITK as sitk
+
+    reader = sitk.ImageFileReader()
+    reader.SetFileName(str(path))
+    name = next((format_ for endings, format_ in _FORMATS.items() if path.name.lower().endswith(endings)), None)
+    if name is not None:
+        reader.SetImageIO(name)
+    return reader
+
+
 def read(path: Path) -> Image:
     """Read a 3-D scalar image.
 
@@ -108,9 +125,9 @@ def read(path: Path) -> Image:
         _check_size(path, header.shape, header.voxel_bytes)
     grid = None if header is None else _nifti_grid(path, header)  # before the library, which has words of its own for it
     _check_nrrd(path)
+    _check_meta(path)
     sitk.ProcessObject_SetGlobalWarningDisplay(False)
-    reader = sitk.ImageFileReader()
-    reader.SetFileName(str(path))
+    reader = opened(path)
     try:
         reader.ReadImageInformation()
         _check_components(path, reader.GetNumberOfComponents())
@@ -244,6 +261,17 @@ def _check_spacing(path: Path, spacing: FloatArray, unit: str) -> None:
         raise InputError(f"{words}; the header says the lengths are {unit}: correct xyzt_units.")
     meant = length_unit(float(np.median(spacing)), 0.1, 5.0)
     raise InputError(f"{words}{meant.replace('lengths', 'spacings')}.")
+
+
+def _check_meta(path: Path) -> None:
+    """A MetaImage's header is lines ``key = value``, the number of dimensions among the first; what is none, its reader reports
+    in words of its own."""
+    if not path.name.lower().endswith((".mha", ".mhd")):
+        return
+    with path.open("rb") as stream:
+        head = stream.read(65536)
+    if not re.search(rb"^\s*NDims\s*=\s*\d", head, re.MULTILINE):
+        raise InputError(f"{path}: the image cannot be read, its header names no number of dimensions (NDims): not a MetaImage.")
 
 
 def _check_nrrd(path: Path) -> None:

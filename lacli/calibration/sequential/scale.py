@@ -9,7 +9,7 @@ import numpy as np
 from lacli.base.arrays import BoolArray, FloatArray
 from lacli.inference.box import Box
 
-_RATIO = 10.0  # a range wider than this is searched along its logarithm: one step is one factor
+_RATIO = 20.0  # a range wider than this is searched along its logarithm (stiffnesses; pressures are not): one step is one factor
 
 
 @dataclass(frozen=True)

@@ -118,3 +118,17 @@ def test_a_ct_volume_is_no_label_map() -> None:
     noisy = ball().with_array(np.random.default_rng(1).normal(0, 100, ball().array.shape))
     with pytest.raises(AnatomyError, match="fractional"):
         image.label_volumes(noisy)
+
+
+@pytest.mark.parametrize("ending", ["nrrd", "nii", "nii.gz", "mha"])
+@pytest.mark.parametrize(
+    "content", [b"\x89PNG\r\n\x1a\n" + bytes(512), b"\x89HDF\r\n\x1a\n" + bytes(512), b"II*\0" + bytes(512), b"BM" + bytes(512)]
+)
+def test_a_file_of_another_format_is_one_message_of_ours(
+    ending: str, content: bytes, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / f"x.{ending}").write_bytes(content)
+    with pytest.raises(InputError, match=rf"x\.{ending}: "):
+        image.read(tmp_path / f"x.{ending}")
+    said = capfd.readouterr()
+    assert said.out == said.err == ""
