@@ -146,6 +146,42 @@ def _option(parameter: Any) -> list[object]:
     return [", ".join(code(name) for name in names), shown, plain(parameter.help or "")]
 
 
+def api_page() -> str:
+    """Every public name of Python with its signature and docstring, from the code."""
+    import inspect
+
+    import lacli
+
+    text = MADE + "# Python\n\nWhat a command does is one call, with `progress` and `cancel` as arguments; "
+    text += "`examples/api.py` goes the whole way.\n"
+    names = [name for name in lacli.__all__ if name != "__version__"]
+    verbs = [name for name in names if inspect.isfunction(getattr(lacli, name))]
+    for title, chosen in (("Verbs", verbs), ("Types", [name for name in names if name not in verbs])):
+        text += f"\n## {title}\n"
+        for name in chosen:
+            one = getattr(lacli, name)
+            first, _, rest = (inspect.getdoc(one) or "").partition("\n\n")
+            text += f"\n### {name}\n\n"
+            if name in verbs:
+                text += f"```python\n{_signature(name, one)}\n```\n\n"
+            text += "".join(plain(" ".join(part.replace("``", "`").split())) + "\n\n" for part in (first, rest) if part)
+    return text.rstrip() + "\n"
+
+
+def _signature(name: str, verb: Any) -> str:
+    """A verb's call, an argument a line behind the first ones."""
+    import inspect
+
+    given = inspect.signature(verb).parameters.values()
+    lines = [p.name if p.default is p.empty else f"{p.name}={_shown(p.default)}" for p in given]
+    short = f"lacli.{name}({', '.join(lines)})"
+    return short if len(lines) < 3 else "\n".join([f"lacli.{name}(", *(f"    {line}," for line in lines), ")"])
+
+
+def _shown(value: Any) -> str:
+    return f'Path("{value}")' if isinstance(value, Path) else _toml(value) if isinstance(value, str) else repr(value)
+
+
 def features_page() -> str:
     """Every feature that images and simulations share, from the table of features."""
     from lacli.contracts.features import FEATURES
@@ -249,6 +285,7 @@ PAGES = {
     "commands.md": commands_page,
     "features.md": features_page,
     "files.md": files_page,
+    "api.md": api_page,
     "rooms.svg": rooms_picture,
 }
 

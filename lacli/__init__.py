@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from lacli.api.progress import Progress
     from lacli.api.segmentation import segment
     from lacli.api.study import Cohort, Report, compare, plan_cohort, run_cohort, stats, write_report, write_slurm
+    from lacli.api.validation import validate
     from lacli.base.errors import Cancelled, LacliError
     from lacli.calibration.calibration import Settings as CalibrationSettings
     from lacli.contracts.scene import Scene, load_scene
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from lacli.inference.sampling.posterior import Settings as SamplingSettings
     from lacli.mechanics.installation import Check as InstallationCheck
     from lacli.mechanics.simulation import RunResult
+    from lacli.motion.validation import Validation
     from lacli.verification.problems import Check as VerificationCheck
 
 __all__ = [
@@ -66,6 +68,7 @@ __all__ = [
     "Targets",
     "Tracking",
     "Tradeoff",
+    "Validation",
     "VerificationCheck",
     "__version__",
     "calibrate",
@@ -97,6 +100,7 @@ __all__ = [
     "synthesize",
     "track",
     "tradeoff",
+    "validate",
     "verify",
     "write_deck",
     "write_report",
@@ -115,12 +119,14 @@ _HOMES = {
     "lacli.api.progress": ("Progress",),
     "lacli.api.segmentation": ("segment",),
     "lacli.api.study": ("Cohort", "Report", "compare", "plan_cohort", "run_cohort", "stats", "write_report", "write_slurm"),
+    "lacli.api.validation": ("validate",),
     "lacli.base.errors": ("Cancelled", "LacliError"),
     "lacli.contracts.scene": ("Scene", "load_scene"),
     "lacli.contracts.tables.table": ("RunTable", "read_one", "read_runs"),
     "lacli.contracts.targets": ("Targets", "read_targets"),
     "lacli.inference.box": ("Box", "make_box", "read_box"),
     "lacli.inference.emulation.emulator_set": ("EmulatorSet", "load_emulators", "save_emulators"),
+    "lacli.motion.validation": ("Validation",),
     "lacli.mechanics.simulation": ("RunResult",),
 }
 _HOME = {name: (home, name) for home, names in _HOMES.items() for name in names} | {

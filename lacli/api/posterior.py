@@ -128,7 +128,7 @@ def posterior(
             (*said, *judge(emulators, targets, box, error.best, threshold).warnings()),
         ) from error
     best, log_prob = mcmc.maximum(density, chain)
-    summary = mcmc.summary(chain, best)
+    summary = mcmc.summary(chain, best, density.region.box, density.targets.priors)
     strayed = float(unvisited(chain.flat(), runs).mean())
     verdict = judge(emulators, targets, box, best, threshold, chain.flat())
     with replacing(folder / "summary.csv") as temporary:

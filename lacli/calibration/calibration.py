@@ -20,6 +20,7 @@ from lacli.base.errors import LacliError, UsageError
 from lacli.base.files import write_json
 from lacli.base.schema import Array, array_file
 from lacli.contracts.identity import Identity, conflict, flatten, identify, parse_identity, read_identity, write_identity
+from lacli.contracts.priors import check_priors
 from lacli.contracts.targets import Targets
 from lacli.inference.box import Box
 from lacli.inference.design import design
@@ -140,6 +141,7 @@ def calibrate(
             f"calibrate: the first wave's {settings.first_runs} runs are more than the {settings.max_runs} allowed;"
             " lower --first-runs or raise --max-runs."
         )
+    check_priors(targets.priors, box.names, box.lower, box.upper)  # before a run is spent
     begin = time.monotonic()
     folder.mkdir(parents=True, exist_ok=True)
     identity = calibration_identity(
@@ -197,7 +199,7 @@ def calibrate(
     density = Density(emulators, region.waves[-1].targets, region if settings.prior == "nroy" else Region(box))
     chain = _sample(density, settings, samples[-1], folder / "chain.npz", monitor, number, tuple(reports))
     map_x, _ = mcmc.maximum(density, chain)
-    table = mcmc.summary(chain, map_x)
+    table = mcmc.summary(chain, map_x, density.region.box, density.targets.priors)
     verdict = judge(emulators, density.targets, box, map_x, region.waves[-1].threshold, chain.flat())
     draws = np.empty((0, len(targets.names)))
     fit, rmse = _fit(emulators, targets, map_x, None), None

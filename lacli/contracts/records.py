@@ -75,6 +75,7 @@ TABLE: tuple[Field, ...] = (
     Field("peak_memory_mb", "MB", "cost"),
     Field("attempts", "", "how often the machine ended the run", always=False),
     Field(f"<output>{ERROR_SUFFIX}", "as the output", "one standard deviation, where known", always=False),
+    Field("d<output>/d<input>", "the output's over the input's", "derivative at the run; empty where unknown", always=False),
 )
 
 TARGET: tuple[Field, ...] = (

@@ -15,6 +15,7 @@ from lacli.base.arrays import FloatArray
 from lacli.base.documents import brief, read_toml
 from lacli.base.errors import TableError
 from lacli.contracts.covariance import read_covariance
+from lacli.contracts.priors import Prior, read_priors
 
 # a measurement is not as exact as a billionth of a thousandth of itself, nor worth the name beyond a million times itself
 # (a mean near 0 is what rounding left of nothing: there the unit is the measure)
@@ -25,12 +26,13 @@ _NOTHING, _LARGEST = 1e-100, 1e100
 @dataclass(frozen=True)
 class Targets:
     """Targets of features by name: names (p,), mean (p,) and sd (p,) in the features' own units; covariance (p, p) of the errors,
-    None: independent."""
+    None: independent; priors of the simulator's inputs, None: uniform."""
 
     names: tuple[str, ...]
     mean: FloatArray
     sd: FloatArray
     covariance: FloatArray | None = None
+    priors: tuple[Prior, ...] | None = None
 
     def select(self, names: Sequence[str]) -> Targets:
         """The targets in the order of ``names``; TableError if one is missing."""
@@ -39,17 +41,19 @@ class Targets:
             raise TableError(f"targets: no value for {', '.join(missing)}; there are {', '.join(self.names)}.")
         j = [self.names.index(name) for name in names]
         covariance = None if self.covariance is None else self.covariance[np.ix_(j, j)]
-        return Targets(tuple(names), self.mean[j], self.sd[j], covariance)
+        return Targets(tuple(names), self.mean[j], self.sd[j], covariance, self.priors)
 
 
 def read_targets(path: Path) -> Targets:
     """Read ``targets.toml``: a table for each feature with ``mean`` and ``sd``, at the top or under ``[targets]``.
 
     Example: ``[targets.esv_ml]``, ``mean = 92.0``, ``sd = 4.6``. ``covariance = "file.npz"`` at the top names the covariance of
-    the errors, in the same folder (contracts.covariance). Raises TableError with the key at fault.
+    the errors, in the same folder (contracts.covariance); ``[priors.NAME]`` tells what is known of an input (contracts.priors).
+    Raises TableError with the key at fault.
     """
     path = Path(path)
     document = read_toml(path, error=TableError, missing="no such targets file. Write a table for each feature with mean and sd")
+    priors = read_priors(path, document.pop("priors", None))
     tables = document
     if "targets" in document:
         tables = document["targets"]
@@ -71,7 +75,7 @@ def read_targets(path: Path) -> Targets:
     values = np.array(list(found.values()))
     file = document.get("covariance")
     covariance = None if file is None else read_covariance(path, file, list(found), values[:, 1])
-    return Targets(tuple(found), values[:, 0], values[:, 1], covariance)
+    return Targets(tuple(found), values[:, 0], values[:, 1], covariance, priors)
 
 
 def _target(path: Path, name: str, entry: dict[str, Any]) -> tuple[float, float]:

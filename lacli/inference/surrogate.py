@@ -38,7 +38,7 @@ class Surrogate:
         p = len(self.floor)
         variance = np.exp(np.clip(fitted[:, p:], self.floor, self.ceiling))
         targets = self.density.targets
-        value[rows] = gaussian_log_likelihood(fitted[:, :p], variance, targets)
+        value[rows] = gaussian_log_likelihood(fitted[:, :p], variance, targets) + self.density.log_prior(x[rows])
         if np.isfinite(self.threshold):
             worst = np.sqrt(((fitted[:, :p] - targets.mean) ** 2 / (variance + targets.sd**2)).max(1))
             value[rows] -= _STEEP * np.maximum(worst / self.threshold - 1.0, 0.0)
@@ -62,5 +62,6 @@ def fit_surrogate(density: Density, x: FloatArray) -> tuple[Surrogate, float]:
     waves = density.region.waves
     own = [w.threshold for w in waves if w.emulators is density.emulators and w.targets is density.targets]
     result = Surrogate(density, polynomial, log_variance.min(0) - 0.5, log_variance.max(0) + 0.5, min(own, default=np.inf))
-    error = result(x[kept_out]) - gaussian_log_likelihood(mean[kept_out], variance[kept_out], density.targets)
+    exact = gaussian_log_likelihood(mean[kept_out], variance[kept_out], density.targets) + density.log_prior(x[kept_out])
+    error = result(x[kept_out]) - exact
     return result, float(error.std())

@@ -26,6 +26,7 @@ from lacli.calibration import calibration
 from lacli.calibration.simulator import SceneSimulator
 from lacli.contracts import identity
 from lacli.contracts.identity import METHODS, Identity, conflict, differences, identify, parse_identity, run_key, settle
+from lacli.contracts.priors import Prior
 from lacli.contracts.scene import Scene, build_scene
 from lacli.contracts.tables.table import RunTable
 from lacli.contracts.targets import Targets
@@ -178,10 +179,14 @@ def altered(value: Any) -> Any:
     raise AssertionError(f"no other value for {value!r}")
 
 
+# what a field holds that is None or empty as a rule, and takes nothing but its own kind
+_SOME = {"priors": (Prior("a", "normal", 1.0, 0.5),)}
+
+
 def every_change(value: Any) -> dict[str, Any]:
     """The value with each of its fields changed, by the field's name."""
     return {
-        field.name: dataclasses.replace(value, **{field.name: altered(getattr(value, field.name))})
+        field.name: dataclasses.replace(value, **{field.name: _SOME.get(field.name) or altered(getattr(value, field.name))})
         for field in dataclasses.fields(value)
         if field.init
     }
@@ -217,7 +222,7 @@ def test_a_calibration_is_told_by_box_targets_settings_and_runs() -> None:
 def test_a_field_that_targets_get_one_day_counts() -> None:
     """A correlation, say: identities walk the fields there are."""
     wider = dataclasses.make_dataclass("Wider", [("correlation", Any, None)], bases=(Targets,), frozen=True)
-    pair = [wider(("v_ml", "d_mm"), TARGETS.mean, TARGETS.sd, None, np.array([[1.0, r], [r, 1.0]])) for r in (0.0, 0.5)]
+    pair = [wider(("v_ml", "d_mm"), TARGETS.mean, TARGETS.sd, None, None, np.array([[1.0, r], [r, 1.0]])) for r in (0.0, 0.5)]
     one, two = (calibration.calibration_identity(BOX, targets, SETTINGS, None) for targets in pair)
     assert differences(one, two) == ["targets.correlation was [[1.0, 0.0], [0.0, 1.0]], is [[1.0, 0.5], [0.5, 1.0]]"]
 

@@ -21,6 +21,7 @@ class ExactEmulators:
             log_inputs=np.zeros(d, bool), process=process, inflation=1.0, shift=0.0, scale=1.0, output_scale=OutputScale()
         )
         self.emulators = (entry,) * p
+        self.log_share = np.zeros(d)
         self.d = d
 
     def content_digest(self):

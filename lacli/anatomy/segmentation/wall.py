@@ -18,6 +18,7 @@ from lacli.geometry.surface import Surface
 
 PATCH_MM = 2.0  # profiles within it are averaged: noise goes, edges stay where the wall is smooth on that scale
 SPREAD_MM = 1.5  # how far doubt is carried along the surface: a patch has part of its neighbour's profile
+NEIGHBOUR_SPREAD_MM = 2.5  # of a neighbour: where it lifts off, the wedge of fat is thinner than the blur at first
 FILL_MM = 6.0  # standard deviation of the weights by which flagged places take the thickness of those around
 MUSCLE_DOUBT_HU = 4.0  # the least that the wall's HU may differ from the sampled myocardium's, standard deviation
 DOUBTED = 2000  # places at which these two doubts are tried
@@ -184,12 +185,13 @@ def _flags(
 
 
 def _spread(points: FloatArray, flag: IntArray) -> IntArray:
-    """Doubt reaches SPREAD_MM along the surface; what is unclear beside a neighbour is the neighbour's doing."""
+    """Doubt reaches along the surface; what is unclear beside a neighbour is the neighbour's doing."""
     out = flag.copy()
-    for kind, takes in ((UNCLEAR, (SEEN,)), (NEIGHBOUR, (SEEN, UNCLEAR)), (OPEN, (SEEN,))):
+    reaches = (SPREAD_MM, NEIGHBOUR_SPREAD_MM, SPREAD_MM)
+    for (kind, takes), far in zip(((UNCLEAR, (SEEN,)), (NEIGHBOUR, (SEEN, UNCLEAR)), (OPEN, (SEEN,))), reaches, strict=True):
         flagged, taken = np.flatnonzero(flag == kind), np.flatnonzero(np.isin(flag, takes))
         if len(flagged) and len(taken):
-            reach, _ = cKDTree(points[flagged]).query(points[taken], distance_upper_bound=SPREAD_MM)
+            reach, _ = cKDTree(points[flagged]).query(points[taken], distance_upper_bound=far)
             out[taken[np.isfinite(reach)]] = kind
     return out
 

@@ -164,6 +164,11 @@ def calibrate_sequentially(
         raise UsageError(f"calibrate: at least 4 starts and {4 + 2 * box.d} runs are needed (--max-runs).")
     if len(targets.names) < 1:
         raise UsageError("calibrate: no targets.")
+    if targets.priors:
+        raise UsageError(
+            "calibrate: --method sequential knows uniform priors only, and the targets file has [priors]. "
+            "Remove them, or use --method published."
+        )
     folder.mkdir(parents=True, exist_ok=True)
     identity = sequential_identity(box, targets, settings, log.identity)
     if words := obstacle(folder, identity):
@@ -364,7 +369,8 @@ def _result(
         notes.append("the chain has not converged (R-hat or effective samples are not those asked for).")
     used = search.log.frame(search.x)
     return Sequential(
-        box, targets, map_x, misfit, map_runs, dict(search.stages), len(evidence.failed), mcmc.summary(chain, map_x), moved,
+        box, targets, map_x, misfit, map_runs, dict(search.stages), len(evidence.failed), mcmc.summary(chain, map_x, box, None),
+        moved,
         search.scale.to_x(np.array([mode.centre for mode in known])), swept, chain, fitted, local.held_out, stopped, refused,
         tuple(notes), search.x, float(used["cpu_s"].sum()),
     )  # fmt: skip

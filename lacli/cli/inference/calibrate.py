@@ -246,11 +246,13 @@ def _finish(found: Calibrated, as_json: bool, wall_s: float) -> None:
 
 
 def _show(result: Calibration) -> None:
+    from lacli.inference.sampling.posterior import learnt
+
     print_table(
         f"Posterior (ESS {result.chain.ess.min():.0f}, R-hat {result.chain.rhat.max():.3f}"
         + (")" if result.chain.converged else ", not converged)"),
-        ["input", "most probable", "mean", "sd", "2.5 %", "97.5 %"],
-        [[r["input"], r["map"], r["mean"], r["sd"], r["low95"], r["high95"]] for r in result.table],
+        ["input", "most probable", "mean", "sd", "2.5 %", "97.5 %", "sd below prior's"],
+        [[r["input"], r["map"], r["mean"], r["sd"], r["low95"], r["high95"], learnt(r)] for r in result.table],
     )
     print_table(
         "Fit at the most probable parameters" + (f", RMSE {result.rmse_mm:.3g} mm" if result.rmse_mm is not None else ""),

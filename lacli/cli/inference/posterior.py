@@ -80,9 +80,11 @@ def command(
 
 
 def _show(chain: Chain, summary: list[dict[str, Any]], folder: Path) -> None:
+    from lacli.inference.sampling.posterior import learnt
+
     print_table(
         f"Posterior ({len(chain.flat()):,} samples, ESS {chain.ess.min():.0f}, R-hat {chain.rhat.max():.3f})",
-        ["input", "mean", "sd", "2.5 %", "97.5 %", "most probable"],
-        [[r["input"], r["mean"], r["sd"], r["low95"], r["high95"], r["map"]] for r in summary],
+        ["input", "mean", "sd", "2.5 %", "97.5 %", "most probable", "sd below prior's"],
+        [[r["input"], r["mean"], r["sd"], r["low95"], r["high95"], r["map"], learnt(r)] for r in summary],
     )
     out.print(f"Chain, tables and figures in {folder}", highlight=False, soft_wrap=True)

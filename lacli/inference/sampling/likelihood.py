@@ -1,4 +1,5 @@
-"""The posterior density: uniform prior on a region, Gaussian likelihood with measurement and emulator variance.
+"""The posterior density: a prior on a region, uniform where none is told, Gaussian likelihood with measurement and emulator
+variance.
 
 log L(x) = -1/2 sum_j [ (E f_j - mu_j)^2 / (sigma_j^2 + Var f_j) + log(2 pi (sigma_j^2 + Var f_j)) ]; Var f is the emulator's
 and that of the runs' own error (discretisation). The variance depends on x, so its logarithm stays: without it the mean moves
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lacli.base.arrays import FloatArray
+from lacli.contracts.priors import check_priors, log_prior
 from lacli.contracts.targets import Targets
 from lacli.inference.emulation.emulator_set import AnyEmulators
 from lacli.inference.matching.matching import Region
@@ -60,6 +62,13 @@ class Density:
         """Number of inputs."""
         return self.region.box.d
 
+    def __post_init__(self) -> None:
+        check_priors(self.targets.priors, self.region.box.names, self.region.box.lower, self.region.box.upper)
+
+    def log_prior(self, x: FloatArray) -> FloatArray:
+        """log prior (m,) at x (m, d) of the box, up to a constant."""
+        return log_prior(self.targets.priors, self.region.box.names, x)
+
     def log_likelihood(self, x: FloatArray) -> FloatArray:
         """log L (m,) at x (m, d)."""
         return gaussian_log_likelihood(*self.emulators.predict_truth(x), self.targets)
@@ -79,5 +88,5 @@ class Density:
             elif keep.any():
                 open_ = np.flatnonzero(keep)
                 keep[open_] = wave.below(x[rows[open_]], 1.0)
-        value[rows[keep]] = gaussian_log_likelihood(mean[keep], variance[keep], self.targets)
+        value[rows[keep]] = gaussian_log_likelihood(mean[keep], variance[keep], self.targets) + self.log_prior(x[rows[keep]])
         return value

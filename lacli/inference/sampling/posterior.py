@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -17,6 +17,8 @@ from lacli.base.errors import InputError, LacliError, UsageError
 from lacli.base.schema import Array, array_file, unfit, write_arrays
 from lacli.base.threads import single_threaded
 from lacli.contracts.identity import Identity, conflict, identify, parse_identity
+from lacli.contracts.priors import Prior, prior_sd
+from lacli.inference.box import Box
 from lacli.inference.sampling.likelihood import Density
 from lacli.inference.sampling.mixture import fit_mixture
 from lacli.inference.sampling.moves import EnsemblesMove
@@ -24,6 +26,8 @@ from lacli.inference.surrogate import fit_surrogate
 
 _FORMAT = 2
 STOPPING = frozenset({"rhat", "ess", "max_steps"})  # settings that say when a chain is long enough, not where it goes
+# an input whose sd the targets shrink by less than this has stayed as it was known before
+LEAST_CONTRACTION = 0.2
 _TUNING = 200  # steps of plain moves before anything is kept
 _ROUND = 50  # steps between saves
 # a stand-in whose log likelihood is off by more than this is accepted too seldom to pay
@@ -271,7 +275,8 @@ def maximum(density: Density, chain: Chain, tries: int = 5) -> tuple[FloatArray,
     def slope(u: FloatArray) -> tuple[float, FloatArray]:
         h = 1e-5
         steps = np.clip(u + h * np.vstack([np.zeros(box.d), np.eye(box.d), -np.eye(box.d)]), 0.0, 1.0)
-        log_l = density.log_likelihood(box.from_unit(steps))
+        points = box.from_unit(steps)
+        log_l = np.maximum(density.log_likelihood(points) + density.log_prior(points), -1e30)  # a prior's end is a wall
         span = steps[1 : 1 + box.d].diagonal() - steps[1 + box.d :].diagonal()
         return -float(log_l[0]), -(log_l[1 : 1 + box.d] - log_l[1 + box.d :]) / span
 
@@ -286,18 +291,27 @@ def maximum(density: Density, chain: Chain, tries: int = 5) -> tuple[FloatArray,
     return np.clip(best_x, box.lower, box.upper), best
 
 
-def summary(chain: Chain, most_probable: FloatArray) -> list[dict[str, float | str]]:
-    """For each input: mean, sd, median, central 95 % interval, the most probable value, R-hat, ESS."""
+def summary(chain: Chain, most_probable: FloatArray, box: Box, priors: Sequence[Prior] | None) -> list[dict[str, float | str]]:
+    """For each input: mean, sd, median, central 95 % interval, the most probable value, R-hat, ESS; prior_sd, and contraction
+    1 - sd / prior_sd: near 0 where the targets told nothing."""
     flat = chain.flat()
+    before = prior_sd(priors, box.names, box.lower, box.upper)
     low, median, high = np.quantile(flat, [0.025, 0.5, 0.975], axis=0)
     return [
         {
             "input": name, "mean": float(flat[:, i].mean()), "sd": float(flat[:, i].std(ddof=1)), "median": float(median[i]),
             "low95": float(low[i]), "high95": float(high[i]), "map": float(most_probable[i]),
             "rhat": float(chain.rhat[i]), "ess": float(chain.ess[i]),
+            "prior_sd": float(before[i]), "contraction": 1.0 - float(flat[:, i].std(ddof=1) / before[i]),
         }
         for i, name in enumerate(chain.names)
     ]  # fmt: skip
+
+
+def learnt(row: dict[str, float | str]) -> str:
+    """What the targets told of an input, by its row of ``summary``, in words: by how much its sd is below the prior's."""
+    share = float(row["contraction"])
+    return f"{share:.0%}" if share >= LEAST_CONTRACTION else "as the prior"
 
 
 def chain_identity(density: Density, settings: Settings) -> Identity:

@@ -1,0 +1,61 @@
+"""A simulation's transients against the tracked motion, in one call."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lacli.base.errors import InputError, UsageError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from lacli.motion.validation import Validation
+
+
+def validate(run: Path, motion: Path, *, targets: Path | None = None, out: Path | None = None) -> Validation:
+    """How far a run, at the MAP for example, is from the tracked motion in every frame, those not used for calibration apart.
+
+    run: folder of a simulation whose steps reach over the frames; motion: folder of `lacli track`; targets: the file that was
+    calibrated to, default the motion's. ``by_frame`` and ``by_kind`` of the result are tables of root mean squares, units in the
+    features' names (mm, mL). out: folder for validation.csv, validation_kinds.csv and validation.png. Raises InputError,
+    TableError, UsageError, StorageError.
+    """
+    from lacli.base.documents import read_json
+    from lacli.base.files import check_folder, replacing
+    from lacli.contracts.targets import read_targets
+    from lacli.motion.validation import compare
+    from lacli.report.validation_figures import transients
+
+    if out is not None:
+        check_folder(out)
+        if out.resolve() in (run.resolve(), motion.resolve()):
+            raise UsageError(f"{out}: results have their own folder; choose another than the run's and the motion's.")
+    simulated, tracked = _table(run / "transients.csv"), _table(motion / "transients.csv")
+    info = read_json(motion / "tracking.json")
+    sd, phases = info.get("sd"), info.get("phases")
+    if not isinstance(sd, dict) or not isinstance(phases, dict) or not isinstance(phases.get("es"), (int, float)):
+        raise InputError(f"{motion / 'tracking.json'}: no sd or phases in it; track again.")
+    names = read_targets(targets or motion / "targets.toml").names
+    try:
+        found = compare(simulated, tracked, {k: float(v) for k, v in sd.items()}, names, float(phases["es"]))
+    except InputError as error:
+        raise InputError(f"{run} against {motion}: {error}") from error
+    if out is not None:
+        for name, table in (("validation.csv", found.by_frame()), ("validation_kinds.csv", found.by_kind())):
+            with replacing(out / name) as temporary:
+                table.to_csv(temporary, index=False)
+        with replacing(out / "validation.png") as temporary:
+            transients(found, temporary)
+    return found
+
+
+def _table(path: Path) -> pd.DataFrame:
+    import pandas as pd
+
+    try:
+        return pd.read_csv(path)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; give the folder of a run, and that of `lacli track`.") from None
+    except (OSError, ValueError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read as a table ({str(error)[:120]}).") from None

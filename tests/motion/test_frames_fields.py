@@ -1,0 +1,99 @@
+"""Frames, their times, and displacement fields as they are read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lacli.anatomy.inputs.image import Image, write
+from lacli.base.errors import UsageError
+from lacli.motion import frames as framing
+from lacli.motion.field import Field, pull, read_field, write_field
+from lacli.motion.frames import Source
+
+
+def constant_field(vector: tuple[float, float, float], size: int = 12, spacing: float = 2.0) -> Field:
+    u = np.broadcast_to(np.array(vector, dtype=np.float32), (size, size, size, 3)).copy()
+    return Field(u, np.full(3, spacing), np.zeros(3), np.eye(3))
+
+
+# --- frames and times -------------------------------------------------------------------------------------------------------
+
+
+def test_frames_come_by_the_numbers_in_their_names(tmp_path: Path) -> None:
+    image = Image(np.zeros((4, 4, 4), np.int16), np.ones(3), np.zeros(3), np.eye(3))
+    for number in (10, 9, 0, 1):
+        write(image, tmp_path / f"phase_{number}.nrrd")
+    assert [s.path.name for s in framing.find([tmp_path])] == ["phase_0.nrrd", "phase_1.nrrd", "phase_9.nrrd", "phase_10.nrrd"]
+
+
+def test_frames_of_one_file_with_four_dimensions(tmp_path: Path) -> None:
+    import SimpleITK as sitk
+
+    array = np.arange(5 * 4 * 3 * 2, dtype=np.int16).reshape(5, 4, 3, 2)
+    sitk.WriteImage(sitk.JoinSeries([sitk.GetImageFromArray(a) for a in array]), str(tmp_path / "ct.nii.gz"))
+    sources = framing.find([tmp_path / "ct.nii.gz"])
+    assert len(sources) == 5
+    assert np.array_equal(framing.read(sources[3]).array, array[3])
+
+
+@pytest.mark.parametrize(
+    ("given_times", "expected"), [([0, 25, 50], [0, 0.25, 0.5]), ([5, 30, 105], [0, 0.25, 1.0]), ([0.1, 0.2, 0.4], [0, 0.1, 0.3])]
+)
+def test_times_are_fractions_or_percentages_from_the_first_frame(given_times: list[float], expected: list[float]) -> None:
+    times, _ = framing.cycle_times([Source(Path(str(i))) for i in range(3)], given_times)
+    assert times == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("bad", [[0, 0.5, 0.5], [0, 0.5, 0.4], [0, 0.5], [0, float("nan"), 0.6], [0, 50, 101], [0, 0.5, 1.2]])
+def test_times_that_do_not_rise_within_a_cycle_are_refused(bad: list[float]) -> None:
+    with pytest.raises(UsageError):
+        framing.cycle_times([Source(Path(str(i))) for i in range(3)], bad)
+
+
+def test_averaging_keeps_places_and_reduces_noise() -> None:
+    """A linear ramp in x stays at its place in coarser voxels; noise of sd 20 averaged over about 8 voxels falls below 10."""
+    rng = np.random.default_rng(0)
+    ramp = np.broadcast_to(np.arange(60) * 0.45, (60, 60, 60))
+    fine = Image(ramp + rng.normal(0, 20, ramp.shape), np.full(3, 0.45), np.array([3.0, -4.0, 5.0]), np.eye(3))
+    coarse = framing.around(fine, np.array([[3.0, -4.0, 5.0], [29.0, 22.0, 31.0]]), 0.9)
+    assert coarse.spacing == pytest.approx([0.9] * 3)
+    inner = coarse.array[5:-5, 5:-5, 5:-5]
+    x = np.arange(coarse.array.shape[2])[5:-5] * 0.9
+    assert np.abs(inner.mean(axis=(0, 1)) - x).max() < 3.0
+    assert (inner - x).std() < 10.0
+
+
+# --- fields -----------------------------------------------------------------------------------------------------------------
+
+
+def test_a_field_is_read_in_lps_and_turned_from_ras(tmp_path: Path) -> None:
+    write_field(constant_field((1.0, 2.0, 3.0)), tmp_path / "u.nrrd")
+    at = np.array([[3.0, 5.0, 7.0]])
+    assert read_field(tmp_path / "u.nrrd").at(at)[0] == pytest.approx([1, 2, 3])
+    assert read_field(tmp_path / "u.nrrd", "ras").at(at)[0] == pytest.approx([-1, -2, 3])
+
+
+def test_pulling_an_image_back_brings_what_is_at_x_plus_u() -> None:
+    """A ramp of 1 HU a mm along x, shifted by 2 mm, is 2 HU higher; turned axes change nothing, u is in millimetres of LPS."""
+    x = 2.0 * np.arange(12)
+    image = Image(np.broadcast_to(x, (12, 12, 12)).astype(np.float32), np.full(3, 2.0), np.zeros(3), np.eye(3))
+    moved = pull(image, constant_field((2.0, 0.0, 0.0)))
+    assert np.allclose(moved.array[..., 3:-3], image.array[..., 3:-3] + 2.0, atol=1e-3)
+    turned = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    field = Field(constant_field((0.0, 2.0, 0.0)).u, np.full(3, 2.0), np.zeros(3), turned)
+    moved = pull(Image(image.array, image.spacing, image.origin, turned), field)  # i runs along y here
+    assert np.allclose(moved.array[..., 3:-3], image.array[..., 3:-3] + 2.0, atol=1e-3)
+
+
+def test_the_inverse_of_a_smooth_field_undoes_it() -> None:
+    k, j, i = np.meshgrid(*[np.arange(24.0)] * 3, indexing="ij")
+    u = np.stack([np.sin(j / 6.0), np.cos(k / 7.0), 0.5 * np.sin(i / 8.0)], axis=-1).astype(np.float32)
+    field = Field(u, np.ones(3), np.zeros(3), np.eye(3))
+    points = np.random.default_rng(1).uniform(6, 17, (50, 3))
+    v = field.inverse(every=1)
+    assert np.abs(v.at(points) + field.at(points + v.at(points))).max() < 0.05
+    w = field.solve_inverse_at(points, -field.at(points))
+    assert np.abs(w + field.at(points + w)).max() < 1e-4
