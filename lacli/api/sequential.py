@@ -17,6 +17,10 @@ if TYPE_CHECKING:
 
 RUNS = "runs"  # the folder of the simulations in a calibration's own
 FIGURES = ("corner.png", "trace.png")
+UNKNOWN_ERRORS = (
+    "no discretisation error of this scene is known, and none is in the posterior: it may be too narrow. "
+    "Run `lacli tradeoff` on the scene first."
+)
 
 
 @dataclass(frozen=True)
@@ -53,7 +57,7 @@ def seek(
     Targets and inputs are in the units of their names; targets at times of the cycle (``n_septum_mm@0.2``) make the frames of
     the simulations. The prior is uniform on the box (default: the published ranges of the 9 inputs). store: folder of the
     simulations (default: in ``folder``); workers: simulations side by side here, scheduler: address of a Dask scheduler
-    instead; fresh: start in a sub-folder where ``folder`` holds something else; retry: run again what the machine has ended
+    instead; known discretisation errors of the scene widen the targets' own; fresh: start in a sub-folder where ``folder`` holds something else; retry: run again what the machine has ended
     three times. Called again it goes on, and ends as if it had not been interrupted.
     Raises LacliError where runs tell no derivatives or too few finish, UsageError, TableError, AnatomyError,
     SolverMissingError, StorageError, Cancelled.
@@ -66,6 +70,7 @@ def seek(
     from lacli.inference.box import published_box
     from lacli.inference.runs import RunLog, runs_identity
     from lacli.inference.runs import obstacle as in_the_way
+    from lacli.mechanics.accuracy import known_errors
     from lacli.report.inference_figures_posterior import corner_figure, trace_figure
 
     if scene.numerics.unloading != "prestrain" or scene.numerics.engine == "script":
@@ -77,6 +82,9 @@ def seek(
     settings, box = settings or Settings(), box or published_box()
     run = simulator(scene, store or folder / RUNS, workers, scheduler, targets=targets.names)
     of_runs = runs_identity(run, box.names, targets.names)
+    errors = known_errors(scene)
+    notes = [] if errors else [UNKNOWN_ERRORS]
+    targets = targets.widened(errors)
     identity = sequential_identity(box, targets, settings, of_runs)
     folder = settle(folder, lambda place: obstacle(place, identity) or in_the_way(place / "runs.csv", of_runs), fresh)
     log = RunLog(folder / "runs.csv", box.names, targets.names, of_runs, retry)
@@ -85,7 +93,7 @@ def seek(
     def hear(status: Status) -> None:
         stage.of(f"{status.stage} ({status.runs} runs so far)" if not status.total else status.stage, status.done, status.total)
 
-    result = calibrate_sequentially(run, box, targets, settings, folder, log, hear)
+    result = calibrate_sequentially(run, box, targets, settings, folder, log, hear, notes)
     superseded(folder, *FIGURES)
     pictures: tuple[Path, ...] = ()
     if figures:

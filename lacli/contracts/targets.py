@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -42,6 +42,12 @@ class Targets:
         j = [self.names.index(name) for name in names]
         covariance = None if self.covariance is None else self.covariance[np.ix_(j, j)]
         return Targets(tuple(names), self.mean[j], self.sd[j], covariance, self.priors)
+
+    def widened(self, errors: Mapping[str, float]) -> Targets:
+        """The targets with independent errors (sd, in the features' units) of what is held against them added to their own."""
+        more = np.array([errors.get(name, 0.0) ** 2 for name in self.names])
+        covariance = None if self.covariance is None else self.covariance + np.diag(more)
+        return Targets(self.names, self.mean, np.sqrt(self.sd**2 + more), covariance, self.priors)
 
 
 def read_targets(path: Path) -> Targets:

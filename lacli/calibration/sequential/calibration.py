@@ -7,7 +7,7 @@ calibration goes the same way, finding its runs done.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -155,8 +155,9 @@ def calibrate_sequentially(
     folder: Path,
     log: RunLog,
     monitor: Monitor = lambda status: None,
+    notes: Sequence[str] = (),
 ) -> Sequential:
-    """Calibrate against the targets; ``log`` holds the runs, which must tell derivatives.
+    """Calibrate against the targets; ``log`` holds the runs, which must tell derivatives; ``notes`` go into the result.
 
     Raises LacliError where runs tell none or too few finish, UsageError where the folder holds another calibration.
     """
@@ -175,6 +176,7 @@ def calibrate_sequentially(
         raise UsageError(f"{folder} {words}. Choose another --out.")
     write_identity(folder / FILE, identity)
     search = _Search(simulator, box, targets, settings, log, monitor)
+    search.notes.extend(notes)
     evidence = _start(search)
     evidence, components = _descend(search, evidence)
     map_runs = len(search.x)

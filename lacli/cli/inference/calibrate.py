@@ -93,6 +93,11 @@ def command(
             raise UsageError("--method sequential needs a SCENE that it can run, and --targets.")
         if not sensitivities:
             raise UsageError("--method sequential needs the runs' derivatives; leave --no-sensitivities out.")
+        if (first, following, max_waves, hours, prior) != (200, 100, 5, float("inf"), "nroy"):
+            raise UsageError(
+                "--method sequential makes no waves: --first-runs, --wave-runs, --max-waves, --hours and --prior are of the "
+                "published method."
+            )
         space = read_box(box_file) if box_file else published_box()
         _seek(
             read_scene(scene_file, overrides, space), read_targets(targets_file), folder, as_json, box=space,
