@@ -188,8 +188,8 @@ def run_cohort(
     """Every patient of a table: mesh, fat, track, calibrate, compare, as far as it has the files, and the tables.
 
     Each step is a call of ``lacli`` in a process of its own; what is done is found again by content. only: these patients (the
-    tables hold all that are done). A patient who fails is an outcome. Raises TableError, UsageError, InputError before anything
-    is run, Cancelled (what is done is kept).
+    tables hold all that are done, in the units of their columns' names). A patient who fails is an outcome. Raises TableError,
+    UsageError, InputError before anything is run, Cancelled (what is done is kept).
     """
     from lacli.api.progress import Stage
     from lacli.base.files import check_folder
@@ -240,7 +240,10 @@ def cohort_cost(rows: Sequence[Planned], folder: Path, settings: Path | None = N
 def write_slurm(
     participants: Path, folder: Path, script: Path, *, scene: Path | None = None, settings: Path | None = None
 ) -> None:
-    """A plain SLURM array script, a task a patient, that does what ``run_cohort`` does. Raises as that, StorageError."""
+    """A plain SLURM array script, a task a patient, that does what ``run_cohort`` does.
+
+    Raises TableError, UsageError, InputError, StorageError.
+    """
     import sys
 
     from lacli.base.files import check_folder, write_text

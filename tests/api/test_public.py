@@ -23,8 +23,9 @@ VERBS = [
 UNITS = re.compile(r"\b(mm|mL|kPa|MB|seconds|units?|share|HU)\b|mmHg", re.IGNORECASE)
 SHAPES = re.compile(r"\((?:\w+, )*\w+,?\)")
 # commands whose options are deeds of their own: what else they may call
-MORE = {"simulate": {"write_deck", "read_deck", "rerun"}, "calibrate": {"recover"}}
-NAMED = {"report": "write_report"}  # lacli.report is a package
+MORE = {"simulate": {"write_deck", "read_deck", "rerun"}, "calibrate": {"recover"}, "cohort": {"plan_cohort", "write_slurm"}}
+UNITLESS = {"write_deck", "write_report", "plan_cohort", "write_slurm"}  # they give no quantity
+NAMED = {"report": "write_report", "cohort": "run_cohort"}  # lacli.report and lacli.cohort are packages
 
 
 def test_the_verbs_of_a_calibration_are_there_and_names_are_in_order() -> None:
@@ -44,14 +45,14 @@ def test_a_verb_says_what_it_gives_with_units_and_errors(name: str) -> None:
     named = re.findall(r"[A-Z]\w+(?:Error|Left)|Cancelled|LacliError", raised[1])
     assert named
     assert "cancel" not in inspect.signature(verb).parameters or "Cancelled" in named
-    assert UNITS.search(text) or name in ("write_deck", "write_report"), f"{name}: which units?"
+    assert UNITS.search(text) or name in UNITLESS, f"{name}: which units?"
 
 
 @pytest.mark.parametrize("name", VERBS)
 def test_a_verb_explains_its_arguments_and_tells_its_progress(name: str) -> None:
     verb = getattr(lacli, name)
     given = dict(inspect.signature(verb).parameters)
-    brief = {"write_deck", "read_deck", "stats", "write_report"}  # seconds
+    brief = {"write_deck", "read_deck", "stats", "write_report", "plan_cohort", "write_slurm", "validate"}  # seconds
     assert {"progress", "cancel"} <= set(given) or name in brief
     assert all(p.kind is p.KEYWORD_ONLY for word, p in given.items() if word in ("progress", "cancel"))
 
