@@ -57,8 +57,9 @@ def seek(
     Targets and inputs are in the units of their names; targets at times of the cycle (``n_septum_mm@0.2``) make the frames of
     the simulations. The prior is uniform on the box (default: the published ranges of the 9 inputs). store: folder of the
     simulations (default: in ``folder``); workers: simulations side by side here, scheduler: address of a Dask scheduler
-    instead; known discretisation errors of the scene widen the targets' own; fresh: start in a sub-folder where ``folder`` holds something else; retry: run again what the machine has ended
-    three times. Called again it goes on, and ends as if it had not been interrupted.
+    instead; fresh: start in a sub-folder where ``folder`` holds something else; retry: run again what the machine has ended
+    three times. Known discretisation errors of the scene widen the targets' own. Called again it goes on, and ends as if it had
+    not been interrupted.
     Raises LacliError where runs tell no derivatives or too few finish, UsageError, TableError, AnatomyError,
     SolverMissingError, StorageError, Cancelled.
     """

@@ -101,7 +101,7 @@ def simulate(scene: Scene, folder: Path, on_progress: Callable[[Progress], None]
 def _series(file: Path) -> list[Path]:
     import re
 
-    return [file.parent / name for name in re.findall(r'file="([\w.]+\.vtu)"', file.read_text())]
+    return [file.parent / name for name in re.findall(r'file="([\w.]+\.vtu)"', file.read_text(encoding="utf-8"))]
 
 
 def _displacement(file: Path) -> FloatArray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import importlib
 import inspect
 import json
 import subprocess
@@ -45,10 +47,23 @@ def test_a_verb_names_its_errors_and_units(name: str) -> None:
     assert "unit" in text.lower() or name == "write_deck"
 
 
+def _for_types(module: types.ModuleType) -> dict[str, object]:
+    """What a module imports below ``if TYPE_CHECKING``."""
+    found: dict[str, object] = {}
+    for branch in ast.parse(inspect.getsource(module)).body:
+        if isinstance(branch, ast.If) and getattr(branch.test, "id", "") == "TYPE_CHECKING":
+            for line in branch.body:
+                if isinstance(line, ast.ImportFrom) and line.module:
+                    home = importlib.import_module(line.module)
+                    found |= {name.asname or name.name: getattr(home, name.name) for name in line.names}
+    return found
+
+
 @pytest.mark.parametrize("name", VERBS)
 def test_every_argument_and_result_of_a_verb_is_typed(name: str) -> None:
     verb = getattr(lacli, name)
     known = {other: getattr(lacli, other) for other in NAMES} | vars(api_progress) | vars(sys.modules[verb.__module__])
+    known |= _for_types(sys.modules[verb.__module__])
     hints = typing.get_type_hints(verb, globalns=known | vars(arrays) | {"Identity": Identity})
     assert set(hints) == {*inspect.signature(verb).parameters, "return"}
 

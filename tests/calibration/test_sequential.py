@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from membranes import INPUTS, OUTPUTS, Membranes, box, respond
 
 from lacli.base.errors import LacliError, UsageError
 from lacli.calibration.sequential.calibration import Sequential, Settings, calibrate_sequentially
@@ -16,7 +17,6 @@ from lacli.contracts.targets import Targets
 from lacli.inference.box import Box, make_box
 from lacli.inference.runs import Outcome, RunLog, runs_identity
 from lacli.inference.sampling.posterior import Settings as Sampling
-from tests.calibration.membranes import INPUTS, OUTPUTS, Membranes, box, respond
 
 QUICK = Settings(mcmc=Sampling(ess=600, rhat=1.05, max_steps=2000))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from membranes import box, respond
 
 from lacli.calibration.sequential import emulator
 from lacli.calibration.sequential.change import expected_change
@@ -12,7 +13,6 @@ from lacli.calibration.sequential.laplace import Laplace, spread_out
 from lacli.calibration.sequential.scale import Scale
 from lacli.calibration.simulator import times_of
 from lacli.inference.box import make_box
-from tests.calibration.membranes import box, respond
 
 
 def runs(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -19,6 +19,7 @@ CALLS = {
     "tradeoff": ["scene.toml"],
     "design": ["scene.toml", "--run", "-n", "2", "--input", "alpha_roof"],
     "calibrate": ["scene.toml", "--synthetic-truth", "--out", "out"],
+    "cohort": ["participants.csv", "--scene", "scene.toml", "--out", "study"],
 }  # fmt: skip
 
 

@@ -116,7 +116,7 @@ def _check_links(text: str) -> None:
 
 def test_the_page_of_a_run(run: Path, tmp_path: Path) -> None:
     made = lacli.write_report(run, tmp_path / "run.html")
-    text = made.page.read_text()
+    text = made.page.read_text(encoding="utf-8")
     assert made.kind == "run" and made.size == len(text.encode()) < 15_000_000
     _check_links(text)
     assert {f.suffix for f in made.figures.iterdir()} == {".png", ".pdf", ".svg"}
@@ -135,7 +135,7 @@ def test_the_page_of_a_run(run: Path, tmp_path: Path) -> None:
 
 def test_the_page_of_a_patient(run: Path, patient: Path, tmp_path: Path) -> None:
     made = lacli.write_report(patient, tmp_path / "p.html", run=run)
-    text = made.page.read_text()
+    text = made.page.read_text(encoding="utf-8")
     assert made.kind == "patient"
     _check_links(text)
     assert "<b>alpha_roof</b>" not in text and "&lt;b&gt;alpha_roof&lt;/b&gt; is at the end of its range" in text

@@ -31,7 +31,7 @@ def _study(folder: Path, patients: int) -> Path:
 
 def test_the_page_of_a_study(tmp_path: Path) -> None:
     made = lacli.write_report(_study(tmp_path / "s", 6), tmp_path / "s.html")
-    text = made.page.read_text()
+    text = made.page.read_text(encoding="utf-8")
     assert made.kind == "study"
     assert "&lt;i&gt;a note" in text and "6 of 6 participants done" in text
     assert text.count("<img") == 3  # displacement and stiffness by region, one against the other
@@ -44,7 +44,7 @@ def test_the_page_of_a_study(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("patients", "words"), [(1, "need at least 2"), (2, "Paired t-tests")])
 def test_few_patients_are_said(tmp_path: Path, patients: int, words: str) -> None:
-    text = lacli.write_report(_study(tmp_path / "s", patients), tmp_path / "s.html").page.read_text()
+    text = lacli.write_report(_study(tmp_path / "s", patients), tmp_path / "s.html").page.read_text(encoding="utf-8")
     assert words in text and "structural</td>" not in text
 
 

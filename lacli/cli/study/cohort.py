@@ -11,6 +11,7 @@ import typer
 from lacli.api import study
 from lacli.base.errors import LacliError, UsageError
 from lacli.cli.terminal.console import err, out, print_json, print_table, stages
+from lacli.cli.terminal.scenes import read_scene
 from lacli.cli.terminal.tables import Json, warn
 
 
@@ -32,6 +33,8 @@ def command(
 
     Example: lacli cohort participants.csv --scene scene.toml --out study
     """
+    if scene is not None:
+        read_scene(scene, ["anatomy.bundle=each participant's own"])
     _check_options(settings)
     if dry_run or slurm is not None:
         rows = study.plan_cohort(participants, folder, scene=scene, settings=settings, only=only or ())
