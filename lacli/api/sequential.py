@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,10 +18,6 @@ if TYPE_CHECKING:
 
 RUNS = "runs"  # the folder of the simulations in a calibration's own
 FIGURES = ("corner.png", "trace.png")
-UNKNOWN_ERRORS = (
-    "no discretisation error of this scene is known, and none is in the posterior: it may be too narrow. "
-    "Run `lacli tradeoff` on the scene first."
-)
 
 
 @dataclass(frozen=True)
@@ -84,7 +81,7 @@ def seek(
     run = simulator(scene, store or folder / RUNS, workers, scheduler, targets=targets.names)
     of_runs = runs_identity(run, box.names, targets.names)
     errors = known_errors(scene)
-    notes = [] if errors else [UNKNOWN_ERRORS]
+    notes = _unknown_errors(targets.names, errors)
     targets = targets.widened(errors)
     identity = sequential_identity(box, targets, settings, of_runs)
     folder = settle(folder, lambda place: obstacle(place, identity) or in_the_way(place / "runs.csv", of_runs), fresh)
@@ -102,3 +99,15 @@ def seek(
         corner, trace = (folder / name for name in FIGURES)
         pictures = (corner_figure(result.chain, result.map_x, box, corner), trace_figure(result.chain, trace))
     return Sought(folder, result, pictures)
+
+
+def _unknown_errors(names: Sequence[str], errors: Mapping[str, float]) -> list[str]:
+    """That the posterior contains no discretisation error of some targets: of those at times, no trade-off tells any."""
+    missing = [name for name in names if name not in errors]
+    if not missing:
+        return []
+    some = f"{len(missing)} of {len(names)} targets ({', '.join(missing[:3])}{', ...' if len(missing) > 3 else ''})"
+    return [
+        f"the discretisation error of {some} is not known and not in the posterior, which may be too narrow. "
+        "`lacli tradeoff` measures that of volume and displacements at end-systole."
+    ]

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2, qmc
+from scipy.stats import qmc
 
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import LacliError, UsageError
@@ -24,9 +24,10 @@ from lacli.calibration.sequential import change, descent, modes
 from lacli.calibration.sequential.chain import sample
 from lacli.calibration.sequential.descent import Incumbent
 from lacli.calibration.sequential.emulator import Components, fit
-from lacli.calibration.sequential.evidence import Evidence, factor, gather
+from lacli.calibration.sequential.evidence import Evidence, gather
 from lacli.calibration.sequential.laplace import Laplace, spread_out
 from lacli.calibration.sequential.scale import Scale
+from lacli.calibration.sequential.verdict import unlearned, verdict
 from lacli.contracts.identity import Identity, identify, write_identity
 from lacli.contracts.targets import Targets
 from lacli.inference.box import Box
@@ -34,18 +35,19 @@ from lacli.inference.runs import RunLog, Simulator
 from lacli.inference.sampling import posterior as mcmc
 
 FILE = "calibration.json"
-_REJECTED = 1e-4  # of a chi-square in the targets less the inputs: a misfit as improbable is no answer
 _MODE = 25.0  # excess of chi^2 up to which a second minimum has a share in the posterior
 _LOCAL = 12.0  # Mahalanobis distance up to which a run takes part in the local emulator
 _DESCENT_ROUNDS = 24
-_REACH, _SWEEP = 3.0, 1 << 12  # standard deviations within which a target is reached, somewhere of so many points
 
 
 @dataclass(frozen=True)
 class Settings:
-    """starts of the search (>= 4); first_runs around the most probable point, drawn from a Gaussian ``widening`` times as wide
+    """How far the search goes.
+
+    starts of the search (>= 4); first_runs around the most probable point, drawn from a Gaussian ``widening`` times as wide
     as the posterior's, then ``batch`` at a time; end when the emulator's error moves the posterior's mean by less than
-    ``share`` of its sd in every input, or at max_runs. mode_runs: at most so many to rule out other modes."""
+    ``share`` of its sd in every input, or at max_runs. mode_runs: at most so many to rule out other modes.
+    """
 
     starts: int = 4
     first_runs: int = 12
@@ -358,10 +360,10 @@ def _result(
         for name, t, s, y in zip(targets.names, targets.mean, targets.sd, nearest, strict=True)
     ]
     freedom = max(1, len(targets.names) - box.d)
-    refused = _verdict(evidence, whole, targets, misfit, freedom)
+    refused = verdict(evidence, whole, targets, misfit, freedom)
     notes = list(dict.fromkeys(search.notes))
     notes.append(swept.words())
-    notes += _unlearned(box, chain)
+    notes += unlearned(box, chain)
     if local.held_out > 2.0:
         notes.append(
             f"runs left out of the emulator miss it by {np.sqrt(local.held_out):.1f} times what it says of itself; its variance "
@@ -376,39 +378,6 @@ def _result(
         search.scale.to_x(np.array([mode.centre for mode in known])), swept, chain, fitted, local.held_out, stopped, refused,
         tuple(notes), search.x, float(used["cpu_s"].sum()),
     )  # fmt: skip
-
-
-def _verdict(evidence: Evidence, components: Components, targets: Targets, misfit: float, freedom: int) -> str:
-    """Why the answer is none, in words; '' where it is one. ``components``: the emulator of all runs over the box."""
-    if misfit <= float(chi2.isf(_REJECTED, freedom)):
-        return ""
-    off = f"chi^2 is {misfit:.0f} where {freedom} is expected"
-    # each target alone, in its own sds: residuals taken back from L and from the components' axes
-    alone = (factor(targets) / targets.sd[:, None]) @ components.rotation
-    z = qmc.Sobol(components.z.shape[1], rng=np.random.default_rng(0)).random(_SWEEP)
-    mean, variance = components.predict(np.vstack([z, evidence.z]))
-    least = np.maximum(np.abs(mean @ alone.T) - _REACH * np.sqrt(variance @ (alone**2).T), 0.0).min(0)
-    if (out := np.flatnonzero(least > _REACH)).size:
-        names = ", ".join(targets.names[j] for j in out[:5])
-        return (
-            f"{off}: nowhere in the box does the model come within {_REACH:g} standard deviations of {names}. "
-            "No parameter reaches these targets: check their units and standard deviations, or widen the box."
-        )
-    told = (evidence.residual[int(np.argmin(evidence.misfit))] @ factor(targets).T) / targets.sd
-    worst = np.argsort(-np.abs(told))[:3]
-    names = ", ".join(f"{targets.names[j]} ({told[j]:+.1f} sd)" for j in worst)
-    return (
-        f"{off}: the targets contradict each other or the model. Farthest from the best run: {names}. "
-        "The posterior beside it is too narrow to be believed."
-    )
-
-
-def _unlearned(box: Box, chain: mcmc.Chain) -> list[str]:
-    """Inputs whose posterior is as wide as the box's prior."""
-    flat = chain.flat()
-    kept = flat.std(0) * np.sqrt(12.0) / (box.upper - box.lower)
-    names = [name for name, share in zip(box.names, kept, strict=True) if share > 0.9]
-    return [f"{', '.join(names)}: the posterior is as wide as the prior; the targets tell nothing of it."] if names else []
 
 
 def document(result: Sequential) -> dict[str, Any]:
