@@ -68,6 +68,7 @@ def calibrate(
     sensitivities: bool = True,
     fresh: bool = False,
     retry: bool = False,
+    discretisation: bool = True,
     figures: bool = False,
     progress: OnProgress | None = None,
     cancel: Cancel | None = None,
@@ -78,8 +79,9 @@ def calibrate(
     of runs done elsewhere. box: ranges of the inputs (default: the published ones of the 9 inputs, or the table's);
     settings: runs, budgets, prior, sampling, seed; store: folder of the simulations (default: in ``folder``); workers:
     simulations side by side here, scheduler: address of a Dask scheduler instead; sensitivities: whether runs tell their
-    derivatives; fresh: start in a sub-folder where
-    ``folder`` holds something else; retry: run again what the machine has ended three times. Called again it goes on, and
+    derivatives; fresh: start in a sub-folder where ``folder`` holds something else; retry: run again what the machine has ended
+    three times; discretisation: whether the targets' errors are widened by the scene's discretisation errors, measured or by
+    the model (no, where the targets come from the very same numerics; a table says its own). Called again it goes on, and
     ends as if it had not been interrupted. Raises LacliError where no point of the box reaches the targets, UsageError,
     TableError, AnatomyError, SolverMissingError, StorageError, Cancelled.
     """
@@ -94,6 +96,7 @@ def calibrate(
     settings = settings or Settings()
     _check(settings, folder)
     hear = _Listener(progress, cancel)
+    said: list[str] = []
     if table is not None:
         folder, result = calibrate_table(table, targets, box, settings, folder, fresh, hear)
     else:
@@ -101,9 +104,14 @@ def calibrate(
         from lacli.calibration.calibration import calibration_identity, obstacle
         from lacli.inference.box import published_box
         from lacli.inference.runs import RunLog, runs_identity
+        from lacli.mechanics.accuracy.stated import MEASURED, said_of, with_discretisation
 
         assert scene is not None
         box = box or published_box()
+        if discretisation:
+            # what was measured is in the table of runs already, and reaches the likelihood from there
+            targets, stated = with_discretisation(targets, scene, but=MEASURED)
+            said = said_of(targets.names, stated)
         run = _simulator(scene, store or folder / WAVES, workers, scheduler, targets.names, sensitivities)
         of_runs = runs_identity(run, box.names, targets.names)
         identity = calibration_identity(box, targets, settings, of_runs)
@@ -116,7 +124,7 @@ def calibrate(
     if figures:
         hear.drawing()
         pictures = drawing.draw_calibration(result, folder)
-    notes = tuple(dict.fromkeys(note for wave in result.waves for note in wave.notes))
+    notes = tuple(dict.fromkeys([*said, *(note for wave in result.waves for note in wave.notes)]))
     refused = "" if result.verdict.plausible else REFUSED
     return Calibrated(folder, result, notes, tuple(result.verdict.warnings()), refused, tuple(pictures))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -45,6 +44,7 @@ def seek(
     scheduler: str | None = None,
     fresh: bool = False,
     retry: bool = False,
+    discretisation: bool = True,
     figures: bool = False,
     progress: OnProgress | None = None,
     cancel: Cancel | None = None,
@@ -55,8 +55,9 @@ def seek(
     the simulations. The prior is uniform on the box (default: the published ranges of the 9 inputs). store: folder of the
     simulations (default: in ``folder``); workers: simulations side by side here, scheduler: address of a Dask scheduler
     instead; fresh: start in a sub-folder where ``folder`` holds something else; retry: run again what the machine has ended
-    three times. Known discretisation errors of the scene widen the targets' own. Called again it goes on, and ends as if it had
-    not been interrupted.
+    three times; discretisation: whether the targets' errors are widened by the scene's discretisation errors, measured or by the
+    model (no, where the targets come from the very same numerics). Called again it goes on, and ends as if it had not been
+    interrupted.
     Raises LacliError where runs tell no derivatives or too few finish, UsageError, TableError, AnatomyError,
     SolverMissingError, StorageError, Cancelled.
     """
@@ -68,7 +69,7 @@ def seek(
     from lacli.inference.box import published_box
     from lacli.inference.runs import RunLog, runs_identity
     from lacli.inference.runs import obstacle as in_the_way
-    from lacli.mechanics.accuracy import known_errors
+    from lacli.mechanics.accuracy.stated import said_of, with_discretisation
     from lacli.report.inference_figures_posterior import corner_figure, trace_figure
 
     if scene.numerics.unloading != "prestrain" or scene.numerics.engine == "script":
@@ -80,9 +81,10 @@ def seek(
     settings, box = settings or Settings(), box or published_box()
     run = simulator(scene, store or folder / RUNS, workers, scheduler, targets=targets.names)
     of_runs = runs_identity(run, box.names, targets.names)
-    errors = known_errors(scene)
-    notes = _unknown_errors(targets.names, errors)
-    targets = targets.widened(errors)
+    notes: list[str] = []
+    if discretisation:
+        targets, stated = with_discretisation(targets, scene)
+        notes = said_of(targets.names, stated)
     identity = sequential_identity(box, targets, settings, of_runs)
     folder = settle(folder, lambda place: obstacle(place, identity) or in_the_way(place / "runs.csv", of_runs), fresh)
     log = RunLog(folder / "runs.csv", box.names, targets.names, of_runs, retry)
@@ -99,15 +101,3 @@ def seek(
         corner, trace = (folder / name for name in FIGURES)
         pictures = (corner_figure(result.chain, result.map_x, box, corner), trace_figure(result.chain, trace))
     return Sought(folder, result, pictures)
-
-
-def _unknown_errors(names: Sequence[str], errors: Mapping[str, float]) -> list[str]:
-    """That the posterior contains no discretisation error of some targets: of those at times, no trade-off tells any."""
-    missing = [name for name in names if name not in errors]
-    if not missing:
-        return []
-    some = f"{len(missing)} of {len(names)} targets ({', '.join(missing[:3])}{', ...' if len(missing) > 3 else ''})"
-    return [
-        f"the discretisation error of {some} is not known and not in the posterior, which may be too narrow. "
-        "`lacli tradeoff` measures that of volume and displacements at end-systole."
-    ]

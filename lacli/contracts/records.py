@@ -29,7 +29,7 @@ RUN: tuple[Field, ...] = (
     Field("es_unstable_modes", "", "the same at end-systole"),
     Field("unloading_iterations", "", "iterations to the state at end-diastole", always=False),
     Field("min_jacobian", "", "smallest volume ratio of the loaded states"),
-    Field("unknowns", "", "displacement unknowns"),
+    Field("unknowns", "", "unknowns of a linear system, displacements and pressures"),
     Field("newton_iterations", "", "solutions of a linear system"),
     Field("load_steps", "", "load steps"),
     Field("steps_back", "", "load steps that failed and were tried again, smaller"),
@@ -44,7 +44,10 @@ RUN: tuple[Field, ...] = (
         for region in REGIONS
     ),
     Field("sensitivities", "", "whether `sensitivities.csv` is there, by state; with `outputs.sensitivities`", always=False),
-    Field("discretisation_error", "as the feature", "known errors by feature, where `lacli tradeoff` was run", always=False),
+    Field(
+        "discretisation_error", "as the feature", "errors by feature (one standard deviation); in `--json` alone", always=False
+    ),
+    Field("discretisation_error_source", "", "of each: `measured` by `lacli tradeoff`, or by the `model`", always=False),
 )
 
 MANIFEST: tuple[Field, ...] = (

@@ -43,11 +43,18 @@ class Targets:
         covariance = None if self.covariance is None else self.covariance[np.ix_(j, j)]
         return Targets(tuple(names), self.mean[j], self.sd[j], covariance, self.priors)
 
-    def widened(self, errors: Mapping[str, float]) -> Targets:
-        """The targets with independent errors (sd, in the features' units) of what is held against them added to their own."""
-        more = np.array([errors.get(name, 0.0) ** 2 for name in self.names])
-        covariance = None if self.covariance is None else self.covariance + np.diag(more)
-        return Targets(self.names, self.mean, np.sqrt(self.sd**2 + more), covariance, self.priors)
+    def widened(self, errors: Mapping[str, float], correlation: FloatArray | None = None) -> Targets:
+        """The targets with errors (sd, in the features' units) of what is held against them added to their own.
+
+        correlation (p, p): that of the errors added; None: they are independent.
+        """
+        more = np.array([errors.get(name, 0.0) for name in self.names])
+        added = np.diag(more**2) if correlation is None else np.outer(more, more) * correlation
+        sd = np.sqrt(self.sd**2 + more**2)
+        if self.covariance is None and np.array_equal(added, np.diag(np.diag(added))):
+            return Targets(self.names, self.mean, sd, None, self.priors)
+        own = np.diag(self.sd**2) if self.covariance is None else self.covariance
+        return Targets(self.names, self.mean, sd, own + added, self.priors)
 
 
 def read_targets(path: Path) -> Targets:

@@ -16,7 +16,7 @@ from lacli.contracts.scene import Scene, load_scene
 from lacli.freefem.program import find
 from lacli.freefem.run import Outcome
 from lacli.mechanics import deck, results, sensitivities
-from lacli.mechanics.accuracy import known_errors
+from lacli.mechanics.accuracy.stated import with_errors
 from lacli.mechanics.deck import Deck, OnProgress
 from lacli.mechanics.plan import prepare
 from lacli.mechanics.store import OpenRun, StoredRun, check_products, open_run
@@ -63,9 +63,8 @@ def _solver() -> str | None:
 
 def _result(stored: StoredRun, case: Case) -> RunResult:
     features: dict[str, Any] = dict(stored.features()) if stored.status == "done" else {}
-    # looked up now, not kept with the run: they may have been measured since
-    if features and (errors := known_errors(case.scene)):
-        features["discretisation_error"] = errors
+    if features:
+        features = with_errors(case.scene, case.bundle, features)
     return RunResult(stored.key, stored.folder, stored.status, stored.kind, stored.message, features, stored.manifest)
 
 
@@ -131,8 +130,9 @@ def read_by_hand(folder: Path) -> dict[str, Any]:
     was written for, SimulationError where FreeFEM's results are missing or incomplete.
     """
     scene = _scene_of(folder, _WRITTEN)
-    features, _ = collect(prepare(scene), folder)
-    return features
+    case = prepare(scene)
+    features, _ = collect(case, folder)
+    return with_errors(scene, case.bundle, features)
 
 
 def rerun(folder: Path, on_progress: OnProgress | None = None) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from membranes import box, respond
 
-from lacli.api.sequential import _unknown_errors
 from lacli.calibration.sequential import emulator
 from lacli.calibration.sequential.change import expected_change
 from lacli.calibration.sequential.descent import levenberg, lowest
@@ -145,11 +144,8 @@ def test_a_scene_s_frames_are_at_its_targets_times() -> None:
     assert times_of(["esv_ml", "n_roof_mm@0.3", "volume_ml@0.1", "n_roof_mm@0.1", "other@0.7"]) == (0.1, 0.3)
 
 
-def test_errors_of_the_scene_widen_targets_and_those_not_known_are_told() -> None:
+def test_errors_of_the_scene_widen_targets() -> None:
     targets = Targets(("a", "b"), np.array([1.0, 2.0]), np.array([0.3, 1.0]), np.array([[0.09, 0.1], [0.1, 1.0]]))
     wide = targets.widened({"a": 0.4})
     assert wide.sd == pytest.approx([0.5, 1.0])  # sqrt(.09 + .16)
     assert wide.covariance == pytest.approx(np.array([[0.25, 0.1], [0.1, 1.0]]))
-    assert _unknown_errors(("a",), {"a": 0.4}) == []
-    assert "1 of 2 targets (b)" in _unknown_errors(targets.names, {"a": 0.4})[0]
-    assert "4 of 4 targets (a, b, c, ...)" in _unknown_errors(tuple("abcd"), {})[0]

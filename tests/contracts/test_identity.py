@@ -37,7 +37,7 @@ from lacli.inference.matching.matching import Region, Wave
 from lacli.inference.runs import runs_identity
 from lacli.inference.sampling import posterior as mcmc
 from lacli.inference.sampling.likelihood import Density
-from lacli.mechanics import accuracy
+from lacli.mechanics.accuracy import measured as accuracy
 from lacli.mechanics.store import check_products, find_run, open_run
 
 SceneOf = Callable[..., Scene]

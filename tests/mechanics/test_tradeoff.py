@@ -9,7 +9,7 @@ import pytest
 
 from lacli.base.errors import InputError
 from lacli.contracts.scene import Scene, build_scene
-from lacli.mechanics import accuracy
+from lacli.mechanics.accuracy import measured as accuracy
 from lacli.mechanics.tradeoff import Variant, errors, keep, recommend, reference
 
 

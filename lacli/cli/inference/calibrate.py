@@ -57,6 +57,12 @@ def command(
     sensitivities: Annotated[
         bool, typer.Option("--sensitivities/--no-sensitivities", help="Runs tell their derivatives, where the scene can.")
     ] = True,
+    discretisation: Annotated[
+        bool,
+        typer.Option(
+            "--discretisation-error/--no-discretisation-error", help="Widen the targets' errors by the scene's own, see tradeoff."
+        ),
+    ] = True,
     overrides: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a key of the scene.")
     ] = None,
@@ -102,7 +108,7 @@ def command(
         _seek(
             read_scene(scene_file, overrides, space), read_targets(targets_file), folder, as_json, box=space,
             settings=Sought(max_runs=max_runs or Sought.max_runs, seed=seed, mcmc=Sampling(ess=ess)), store=root,
-            workers=workers, scheduler=scheduler, fresh=fresh, retry=retry, figures=figures,
+            workers=workers, scheduler=scheduler, fresh=fresh, retry=retry, figures=figures, discretisation=discretisation,
         )  # fmt: skip
         return
     settings = Settings(
@@ -133,6 +139,7 @@ def command(
         found = api.calibrate(
             scene, targets, folder, table=from_table, box=box, settings=settings, store=root, workers=workers,
             scheduler=scheduler, sensitivities=sensitivities, fresh=fresh, retry=retry, figures=figures, progress=show,
+            discretisation=discretisation,
         )  # fmt: skip
     _finish(found, as_json, time.monotonic() - begin)
 

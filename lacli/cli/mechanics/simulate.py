@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from lacli.api import mechanics
-from lacli.base.errors import SimulationError, UsageError
+from lacli.base.errors import LacliError, SimulationError, UsageError
 from lacli.cli.terminal.console import err, fail, out, print_json, print_table
 from lacli.cli.terminal.scenes import read_scene
 from lacli.contracts.identity import Identity, file_digest, identify, run_key
@@ -19,6 +19,7 @@ from lacli.mechanics.store import find_run, list_runs
 
 _UNITS = {"_ml": "mL", "_mm": "mm", "_s": "s", "_mb": "MB", "_mmhg": "mmHg", "_kpa": "kPa"}
 
+_PRICED = 100  # finished runs that are looked at for what a run costs
 _DRAWN = "figures.json"  # beside the pictures: what they were drawn from
 
 
@@ -181,13 +182,13 @@ def _show_result(result: Any, repeated: bool, pictures: list[Path]) -> None:
 
 
 def _show_features(title: str, features: dict[str, Any]) -> None:
-    errors = _errors(features)
+    errors, sources = _errors(features), features.get("discretisation_error_source", {})
     rows = []
     for name, value in features.items():
         if _shown(name, value):
             label, unit = _label(name)
-            rows.append([label, value, unit, f"{errors[name]:.2g}" if name in errors else ""])
-    print_table(title, ["quantity", "value", "unit", "discretisation error"], rows)
+            rows.append([label, value, unit, f"{errors[name]:.2g} ({sources[name]})" if name in errors else ""])
+    print_table(title, ["quantity", "value", "unit", "discretisation error, sd"], rows)
 
 
 def _shown(name: str, value: Any) -> bool:
@@ -211,7 +212,7 @@ def _show_plan(scene: Scene, root: Path, as_json: bool) -> None:
 
     bundle = bundles.load(scene.anatomy.bundle)
     terms = [(term, included, why) for term, included, why in describe(scene, bundle)]
-    price = cost.expected(scene, bundle, [run.features() for run in list_runs(root) if run.status == "done"])
+    price = cost.expected(scene, bundle, _earlier(root))
     key = run_key(scene)
     known = find_run(root, key)
     if as_json:
@@ -237,9 +238,24 @@ def _show_plan(scene: Scene, root: Path, as_json: bool) -> None:
         out.print(f"This scene was run before ({known.status}): {known.folder}", highlight=False, soft_wrap=True)
 
 
+def _earlier(root: Path) -> list[Any]:
+    """The latest finished runs of a folder, for what they cost."""
+    from lacli.contracts.scene import load_scene
+    from lacli.mechanics.cost import Earlier
+
+    done = [run for run in list_runs(root) if run.status == "done"]
+    latest = sorted(done, key=lambda run: str(run.manifest.get("finished")))[-_PRICED:]
+    found = []
+    for run in latest:
+        try:
+            found.append(Earlier(load_scene(run.folder / "scene.toml"), run.features()))
+        except LacliError:
+            continue  # of an earlier version, or damaged: no price is worth a failure
+    return found
+
+
 def _price(price: Any) -> str:
-    text = f"{price.unknowns:,} displacement unknowns"
-    if price.cpu_s is None:
-        return f"{text}; seconds and memory are told once a run is finished in the same --out folder"
-    memory = f", {price.peak_memory_mb:.0f} MB" if price.peak_memory_mb else ""
-    return f"{text}, about {price.cpu_s:.0f} CPU s{memory} (from {price.runs} finished runs here)"
+    text = f"{price.unknowns:,} unknowns, about {price.cpu_s:.2g} CPU s, {price.peak_memory_mb:.0f} MB"
+    if price.runs:
+        return f"{text} (by {price.runs} finished runs in --out)"
+    return f"{text} (an ordinary scene on an ordinary machine: soft walls at high pressure take up to ten times as long)"

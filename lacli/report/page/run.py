@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,10 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lacli.base.documents import read_json
-from lacli.base.errors import InputError
+from lacli.base.errors import AnatomyError, InputError
+from lacli.contracts import bundle as bundles
 from lacli.contracts.features import KEYS, PUBLISHED
 from lacli.contracts.labels import BODY_REGIONS
 from lacli.contracts.scene import Scene, load_scene
+from lacli.mechanics.accuracy.stated import with_errors
 from lacli.report.page import methods
 from lacli.report.page.document import Figure, Page, Section, Table, number, picture
 from lacli.report.page.references import bibtex
@@ -56,7 +59,10 @@ def read_run(folder: Path) -> Run:
     features = read_json(folder / "features.json")
     if not isinstance(features, dict):
         raise InputError(f"{folder / 'features.json'}: not a table of features.")
-    return Run(folder, load_scene(folder / "scene.toml"), features, manifest)
+    scene = load_scene(folder / "scene.toml")
+    with contextlib.suppress(AnatomyError):  # the bundle is gone: the page says that no error is known
+        features = with_errors(scene, bundles.load(scene.anatomy.bundle), features)
+    return Run(folder, scene, features, manifest)
 
 
 def run_page(folder: Path, pictures: Path, thickness: Thickness | None, note: str = "") -> Page:
@@ -134,12 +140,18 @@ def kept_pictures(folder: Path, named: Mapping[str, str]) -> tuple[Figure, ...]:
 
 def _features(run: Run) -> Table:
     errors = run.features.get("discretisation_error") or {}
+    sources = run.features.get("discretisation_error_source") or {}
     rows = [
-        (KEYS[key].definition, number(run.features.get(key)), number(errors.get(key)), KEYS[key].unit)
+        (KEYS[key].definition, number(run.features.get(key)), _stated(errors.get(key), sources.get(key, "")), KEYS[key].unit)
         for key in ("edv_ml", *PUBLISHED)
         if key in run.features
     ]
-    return Table("Features", ("feature", "value", "discretisation error", "unit"), tuple(rows))
+    return Table("Features", ("feature", "value", "discretisation error, sd", "unit"), tuple(rows))
+
+
+def _stated(error: float | None, source: str) -> str:
+    """An error, and where it comes from."""
+    return f"{number(error)} ({source})" if error is not None else ""
 
 
 def _rows(title: str, named: Mapping[str, str], values: Mapping[str, Any]) -> Table:
@@ -155,7 +167,7 @@ def _costs(run: Run) -> Table:
 def _doubts(run: Run) -> tuple[str, ...]:
     said = []
     if not run.features.get("discretisation_error"):
-        said.append("No discretisation error is known: `lacli tradeoff` measures it.")
+        said.append(f"No discretisation error is known: the bundle {run.scene.anatomy.bundle} cannot be read any more.")
     for key, name in (("ed_unstable_modes", "end-diastole"), ("es_unstable_modes", "end-systole")):
         modes = run.features.get(key)
         if isinstance(modes, (int, float)) and math.isfinite(modes) and modes > 0:

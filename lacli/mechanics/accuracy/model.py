@@ -1,0 +1,137 @@
+"""Discretisation errors where none were measured: a model of them over anatomies, from order, cell size, wall and feature.
+
+With h the mean edge of the endocardium's triangles, t the wall's mean thickness, L the square root of the endocardium's area
+and s the feature's scale (``scale``), the typical error is s exp(c + p ln(h / L) + q ln(t / h)): p and q by the order of the
+cells, c by the order and the feature's key, at all times the same. What is stated is the typical error times a factor, such
+that 95 % of the true errors of anatomies which the fit has not seen lie within twice the stated: a standard deviation, were
+errors normal. Coefficients and that share stand in ``model.json``, written by ``benchmarks/errors.py``.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lacli.base.arrays import FloatArray, IntArray
+from lacli.base.documents import read_json
+from lacli.base.errors import InputError
+from lacli.contracts.bundle import Bundle
+from lacli.contracts.features import parse
+from lacli.contracts.labels import BODY_REGIONS, ENDO, is_body
+from lacli.geometry.tetrahedra import volumes
+from lacli.geometry.triangles import area_normals
+
+FILE = Path(__file__).with_name("model.json")
+ACROSS_TIMES = 0.9  # correlation taken between the errors of one feature at two times (benchmarks/errors.py --times)
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """What the error depends on beside the feature: ``order`` of the cells, mean edge ``h_mm`` and extent ``l_mm`` (square root
+    of the area) of the endocardium, mean thickness ``t_mm`` of the wall."""
+
+    order: int
+    h_mm: float
+    l_mm: float
+    t_mm: float
+
+    @property
+    def slopes(self) -> tuple[float, float]:
+        """ln(h / L) and ln(t / h)."""
+        return math.log(self.h_mm / self.l_mm), math.log(self.t_mm / self.h_mm)
+
+
+def resolution(bundle: Bundle, order: int) -> Resolution:
+    """The resolution of a bundle's mesh with cells of that order."""
+    corners = bundle.triangles[bundle.tags == ENDO][:, :3]
+    at = bundle.points[corners]
+    h = float(np.mean(np.linalg.norm(at - np.roll(at, 1, axis=1), axis=2)))
+    body = bundle.tets[is_body(bundle.region)][:, :4]
+    wall = float(np.abs(volumes(bundle.points, body)).sum())
+    inside = np.zeros(len(bundle.points), bool)
+    inside[body] = True
+    return Resolution(order, h, math.sqrt(_area(bundle, corners)), wall / _area(bundle, corners[inside[corners].all(axis=1)]))
+
+
+def _area(bundle: Bundle, corners: IntArray) -> float:
+    return 0.5 * float(np.linalg.norm(area_normals(bundle.points[corners]), axis=1).sum())
+
+
+def family(name: str) -> str:
+    """What features of all times share: ``n_roof_mm`` of ``n_roof_mm@0.25``, ``volume_ml`` of ``esv_ml``. ValueError for what is
+    no feature."""
+    feature, _ = parse(name)
+    return "volume_ml" if feature.key == "esv_ml" else feature.key
+
+
+def moved_mm(features: Mapping[str, Any]) -> dict[str, float]:
+    """How far the body moved (mm), by the time in the features' names ("" for end-systole): d of the whole, else the mean of the
+    regions' d, else of their sqrt(n^2 + a^2 + b^2). Times of which nothing is told are absent."""
+    found = {}
+    for time in {name.partition("@")[2] for name in features}:
+        mark = f"@{time}" if time else ""
+        whole = _number(features.get(f"d_global_mm{mark}"))
+        regions = [_number(features.get(f"d_{region}_mm{mark}")) for region in BODY_REGIONS]
+        parts = [math.hypot(*(_number(features.get(f"{kind}_{region}_mm{mark}")) for kind in "nab")) for region in BODY_REGIONS]
+        for values in ([whole], regions, parts):
+            known = [value for value in values if math.isfinite(value)]
+            if known:
+                found[time] = float(np.mean(known))
+                break
+    return found
+
+
+def scale(name: str, moved: float, where: Resolution) -> float:
+    """A feature's scale in its unit: the mean displacement d (mm) for lengths, d L^2 for volumes (mL), d / L for strains."""
+    key = name.partition("@")[0]
+    if key.endswith("_ml"):
+        return moved * where.l_mm**2 / 1000.0
+    return moved if key.endswith("_mm") else moved / where.l_mm
+
+
+def model_errors(features: Mapping[str, Any], where: Resolution) -> dict[str, float]:
+    """Feature -> error in its unit (a standard deviation), for the features of which the model and the motion at their time are
+    known. Zero motion has errors of zero."""
+    model = _model()[str(where.order)]
+    a, b = where.slopes
+    shape = model["h"] * a + model["t"] * b
+    moved = moved_mm(features)
+    found = {}
+    for name in features:
+        try:
+            constant = model["features"][family(name)]
+        except (ValueError, KeyError):
+            continue
+        time = name.partition("@")[2]
+        if time in moved:
+            found[name] = scale(name, moved[time], where) * math.exp(constant + shape) * model["factor"]
+    return found
+
+
+def correlation(names: tuple[str, ...]) -> FloatArray:
+    """(p, p) correlation taken between the errors of features: those of one key at its times go together."""
+    keys = np.array([_family_or_itself(name) for name in names])
+    same = keys[:, None] == keys[None, :]
+    return np.where(np.eye(len(names), dtype=bool), 1.0, np.where(same, ACROSS_TIMES, 0.0))
+
+
+@functools.cache
+def _model() -> dict[str, Any]:
+    return dict(read_json(FILE, error=InputError)["orders"])
+
+
+def _number(value: Any) -> float:
+    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else math.nan
+
+
+def _family_or_itself(name: str) -> str:
+    try:
+        return family(name)
+    except ValueError:
+        return name

@@ -1,0 +1,130 @@
+"""Discretisation errors where none were measured: the model's form, what it scales with, and where each error comes from."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from shapes import hollow_cube
+
+from lacli.contracts.bundle import save
+from lacli.contracts.features import FEATURES
+from lacli.contracts.scene import build_scene
+from lacli.contracts.targets import Targets
+from lacli.mechanics.accuracy import measured, model
+from lacli.mechanics.accuracy.model import Resolution, correlation, family, model_errors, moved_mm, resolution, scale
+from lacli.mechanics.accuracy.stated import MEASURED, MODEL, said_of, stated_errors, with_discretisation
+
+WHERE = Resolution(1, 4.0, 100.0, 2.0)
+
+
+@pytest.fixture
+def plain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A model with round coefficients: typical errors are 8 h / L of the scale for d_roof, 16 h / L for volumes."""
+    features = {"d_roof_mm": math.log(8.0), "volume_ml": math.log(16.0), "area_strain_roof": 0.0}
+    order = {"h": 1.0, "t": 1.0, "features": features, "factor": 3.0}
+    monkeypatch.setattr(model, "_model", lambda: {"1": order, "2": {**order, "h": 3.0}})
+
+
+@pytest.mark.usefixtures("plain")
+def test_errors_scale_with_the_motion_the_cells_and_the_wall() -> None:
+    # moved 5 mm, h / L = .04, t / h = .5: 5 x 8 x .04 x .5 x 3 = 2.4 mm; 5 x 100^2 / 1000 x 16 x .04 x .5 x 3 = 48 mL
+    features = {"d_global_mm": 5.0, "d_roof_mm": 7.0, "esv_ml": 90.0, "area_strain_roof": 0.2, "cpu_s": 3.0}
+    found = model_errors(features, WHERE)
+    assert found == pytest.approx({"d_roof_mm": 2.4, "esv_ml": 48.0, "area_strain_roof": 5.0 / 100.0 * 0.04 * 0.5 * 3.0})
+    finer = model_errors(features, Resolution(1, 2.0, 100.0, 1.0))
+    assert finer["d_roof_mm"] == pytest.approx(1.2)
+    assert model_errors(features, Resolution(2, 2.0, 100.0, 1.0))["d_roof_mm"] == pytest.approx(1.2 * 0.02**2)
+
+
+@pytest.mark.usefixtures("plain")
+def test_errors_at_a_time_scale_with_the_motion_at_that_time() -> None:
+    features = {"d_global_mm": 5.0, "d_roof_mm@0.1": 1.0, "d_septum_mm@0.1": 3.0, "d_roof_mm@0.2": 0.0}
+    found = model_errors(features, WHERE)
+    # no motion of the whole at 0.1: the mean of the regions', 2 mm
+    assert found["d_roof_mm@0.1"] == pytest.approx(2.0 * 8.0 * 0.04 * 0.5 * 3.0)
+    assert found["d_roof_mm@0.2"] == 0.0
+    assert "d_roof_mm@0.3" not in found
+
+
+def test_the_motion_is_told_by_d_of_the_whole_the_regions_or_the_components() -> None:
+    assert moved_mm({"d_global_mm": 4.0, "d_roof_mm": 9.0}) == {"": 4.0}
+    assert moved_mm({"d_roof_mm@0.2": 9.0, "d_septum_mm@0.2": 5.0}) == {"0.2": 7.0}
+    assert moved_mm({"n_roof_mm": 2.0, "a_roof_mm": -3.0, "b_roof_mm": 6.0, "n_septum_mm": 1.0}) == {"": 7.0}  # sqrt(4 + 9 + 36)
+    assert moved_mm({"esv_ml": 80.0, "d_roof_mm": math.nan}) == {}
+
+
+def test_scales_are_in_the_features_units() -> None:
+    assert scale("d_roof_mm@0.3", 5.0, WHERE) == 5.0
+    assert scale("esv_ml", 5.0, WHERE) == 50.0  # 5 mm x 10,000 mm2, in mL
+    assert scale("fibre_strain_roof", 5.0, WHERE) == 0.05
+
+
+def test_a_cube_s_resolution() -> None:
+    # outer side 3 x 10 mm cells of a hollow cube: its cavity and wall are known in closed form
+    bundle = hollow_cube()
+    cavity = bundle.triangles[bundle.tags == 1][:, :3]
+    found = resolution(bundle, 2)
+    sides = np.linalg.norm(bundle.points[cavity] - np.roll(bundle.points[cavity], 1, axis=1), axis=2)
+    # right triangles on square faces: two sides a, one a sqrt 2
+    a = sides.min()
+    assert found.h_mm == pytest.approx(a * (2 + math.sqrt(2)) / 3)
+    assert found.l_mm**2 == pytest.approx(len(cavity) * a**2 / 2)
+    assert found.order == 2 and found.t_mm > 0
+
+
+def test_the_built_in_model_knows_every_feature_and_falls_with_finer_cells() -> None:
+    for order in (1, 2):
+        known = model._model()[str(order)]
+        assert {family(f.key) for f in FEATURES} <= set(known["features"]), "a feature without an error"
+        assert known["h"] > 0, "errors that grow under refinement"
+        assert known["coverage"] >= 0.85 and known["anatomies"] >= 8
+    features = {"d_global_mm": 6.0, **{f.key: 1.0 for f in FEATURES}}
+    linear, quadratic = (model_errors(features, Resolution(order, 4.0, 100.0, 2.0)) for order in (1, 2))
+    assert set(linear) == {f.key for f in FEATURES}
+    assert all(0 < quadratic[name] < linear[name] for name in ("d_global_mm", "esv_ml", "d_roof_mm"))
+
+
+@pytest.mark.usefixtures("plain")
+def test_what_was_measured_comes_first_and_the_source_is_told(tmp_path: Path) -> None:
+    bundle = hollow_cube()
+    save(bundle, tmp_path / "b")
+    scene = build_scene({"anatomy": {"bundle": "b"}}, ["numerics.order=1"], folder=tmp_path, where="test")
+    features = {"d_global_mm": 5.0, "d_roof_mm": 7.0, "esv_ml": 90.0}
+    assert set(stated_errors(scene, bundle, features).source.values()) == {MODEL}
+    measured.record(scene, {"d_roof_mm": 0.25}, scene)
+    stated = stated_errors(scene, bundle, features)
+    assert stated.source == {"d_roof_mm": MEASURED, "esv_ml": MODEL}
+    assert stated.errors["d_roof_mm"] == 0.25
+
+    targets = Targets(("esv_ml", "d_roof_mm", "n_roof_mm"), np.array([90.0, 7.0, 3.0]), np.array([4.0, 0.2, 0.2]))
+    wide, told = with_discretisation(targets, scene)
+    assert wide.sd[1] == pytest.approx(math.hypot(0.2, 0.25))
+    assert wide.sd[2] == 0.2 and "n_roof_mm" not in told.errors
+    rest, _ = with_discretisation(targets, scene, but=MEASURED)
+    assert rest.sd[1] == 0.2 and rest.sd[0] == wide.sd[0] > 4.0
+    said = said_of(targets.names, told)
+    assert "1 of 3 targets (esv_ml) is a model's estimate" in said[0]
+    assert "1 of 3 targets (n_roof_mm) is not known" in said[1]
+    assert said_of(("d_roof_mm",), told) == []
+
+
+def test_errors_of_one_feature_at_several_times_go_together() -> None:
+    names = ("d_roof_mm@0.1", "d_roof_mm@0.2", "d_septum_mm@0.1", "esv_ml", "volume_ml@0.1", "other", "another")
+    found = correlation(names)
+    rho = model.ACROSS_TIMES
+    assert found[0, 1] == rho and found[3, 4] == rho
+    assert found[0, 2] == found[0, 3] == 0.0
+    assert (np.linalg.eigvalsh(correlation(names[:5])) > 0).all()
+    targets = Targets(names[:3], np.ones(3), np.full(3, 0.1))
+    wide = targets.widened({"d_roof_mm@0.1": 0.2, "d_roof_mm@0.2": 0.4}, correlation(names[:3]))
+    assert wide.covariance is not None
+    assert wide.covariance[0] == pytest.approx([0.05, rho * 0.08, 0.0])  # .01 + .04, rho x .2 x .4
+
+
+def test_the_model_s_file_is_what_the_benchmark_writes() -> None:
+    document = json.loads(model.FILE.read_text())
+    assert set(document) == {"held", "finest_mm", "orders"} and set(document["orders"]) == {"1", "2"}
