@@ -95,12 +95,12 @@ def _judged(name: str, values: FloatArray, where: str, remedy: str, tell: Callab
         return False
     quantity = QUANTITIES[name]
     odd: list[tuple[int, str]] = []
-    for row in np.flatnonzero(np.isfinite(values)):
+    for row in np.flatnonzero(np.isfinite(values)).tolist():
         verdict, words = judge(quantity, float(values[row]))
         if verdict == "impossible":
             raise TableError(f"{where} {name}, row {row + 1}: {words}. {remedy}")
         if verdict == "odd":
-            odd.append((int(row), words))
+            odd.append((row, words))
     if odd:
         row, words = odd[0]
         tell(f"{where} {name}, row {row + 1}: {words}{f' ({len(odd)} such rows)' if len(odd) > 1 else ''}.")
