@@ -12,7 +12,7 @@ import pandas as pd
 
 from lacli.base.documents import brief
 from lacli.base.errors import TableError
-from lacli.cohort.observations import check_identifier
+from lacli.cohort.analysis.observations import check_identifier
 from lacli.contracts.tables.file import read_frame
 
 ID = "participant_id"
