@@ -14,7 +14,7 @@ import pandas as pd
 from lacli.base.documents import brief
 from lacli.base.errors import TableError
 from lacli.base.notes import note
-from lacli.cohort.observations import check_identifier
+from lacli.cohort.analysis.observations import check_identifier
 from lacli.contracts.tables.absent import check_column
 from lacli.contracts.tables.columns import to_numbers
 from lacli.contracts.tables.file import read_frame

@@ -15,10 +15,10 @@ from lacli.base.arrays import FloatArray
 from lacli.base.documents import brief, read_toml
 from lacli.base.errors import TableError
 from lacli.base.notes import note
-from lacli.contracts.covariance import read_covariance
 from lacli.contracts.features import KEYS
 from lacli.contracts.priors import Prior, read_priors
 from lacli.contracts.tables.absent import CODES, is_code
+from lacli.contracts.tables.covariance import read_covariance
 
 # a measurement is not as exact as a billionth of a thousandth of itself, nor worth the name beyond a million times itself
 # (a mean near 0 is what rounding left of nothing: there the unit is the measure)
@@ -57,8 +57,8 @@ def read_targets(path: Path) -> Targets:
     """Read ``targets.toml``: a table for each feature with ``mean`` and ``sd``, at the top or under ``[targets]``.
 
     Example: ``[targets.esv_ml]``, ``mean = 92.0``, ``sd = 4.6``. ``covariance = "file.npz"`` at the top names the covariance of
-    the errors, in the same folder (contracts.covariance); ``[priors.NAME]`` tells what is known of an input (contracts.priors).
-    Raises TableError with the key at fault.
+    the errors, in the same folder (contracts.tables.covariance); ``[priors.NAME]`` tells what is known of an input
+    (contracts.priors). Raises TableError with the key at fault.
     """
     path = Path(path)
     document = read_toml(path, error=TableError, missing="no such targets file. Write a table for each feature with mean and sd")

@@ -166,7 +166,7 @@ def test_participants_have_no_codes(column: str, code: str, tmp_path: Path) -> N
 
 @pytest.mark.parametrize("column", ["alpha", "alpha_sd"])
 def test_statistics_have_no_codes(column: str, tmp_path: Path) -> None:
-    from lacli.cohort.observations import read_observations
+    from lacli.cohort.analysis.observations import read_observations
 
     rng = np.random.default_rng(0)
     frame = pd.DataFrame({"participant_id": [f"p{i}" for i in range(12)], "region": "roof", "alpha": rng.uniform(0.5, 2, 12)})
