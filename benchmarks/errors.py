@@ -5,7 +5,7 @@
 For each seed an atrium (its own shape and volume, wall of 1 - 4 mm) and a point of the inner 60 % of the 14-input box are drawn
 (near its corners quadratic cells of the finest size take up to an hour, and which of several equilibria is found differs), and
 simulated with linear and quadratic cells of several sizes; differences to quadratic cells of --finest-mm are the true errors.
-Runs are kept in FOLDER/runs.jsonl; another call goes on. The model (``lacli/mechanics/accuracy/model.py``) is fitted to all
+Runs are kept in FOLDER/runs.jsonl; another call goes on. The model (``lacli/mechanics/numerics/error_model.py``) is fitted to all
 anatomies, and its coverage measured on each by a fit to the others. --write: the fit becomes the built-in model. --times: how
 the errors of a feature at several times go together. --bundle: bundles of one more anatomy (coarse ones, the finest last), held
 against the built-in model.
@@ -33,7 +33,7 @@ from lacli.contracts.features import KEYS, at_time, parse
 from lacli.contracts.motion import save_motion
 from lacli.contracts.parameters import parameter_box
 from lacli.contracts.scene import build_scene, with_parameters
-from lacli.mechanics.accuracy.model import FILE, Resolution, family, model_errors, moved_mm, resolution, scale
+from lacli.mechanics.numerics.error_model import FILE, Resolution, family, model_errors, moved_mm, resolution, scale
 from lacli.mechanics.simulation import run_scene
 from lacli.synthetic.atrium import synthesize
 

@@ -24,7 +24,7 @@ from lacli.contracts.bundle import Bundle
 from lacli.contracts.motion import save_motion
 from lacli.contracts.parameters import parameter_box
 from lacli.contracts.scene import Scene, build_scene, with_parameters
-from lacli.mechanics.cost import Earlier, expected
+from lacli.mechanics.numerics.cost import Earlier, expected
 from lacli.mechanics.simulation import run_scene
 from lacli.synthetic.atrium import synthesize
 

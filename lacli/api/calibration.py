@@ -104,7 +104,7 @@ def calibrate(
         from lacli.calibration.calibration import calibration_identity, obstacle
         from lacli.inference.box import published_box
         from lacli.inference.runs import RunLog, runs_identity
-        from lacli.mechanics.accuracy.stated import MEASURED, said_of, with_discretisation
+        from lacli.mechanics.numerics.stated import MEASURED, said_of, with_discretisation
 
         assert scene is not None
         box = box or published_box()

@@ -8,7 +8,7 @@ import pytest
 from shapes import hollow_cube
 
 from lacli.contracts.scene import Scene, build_scene, with_parameters
-from lacli.mechanics.cost import Earlier, expected, ordinary
+from lacli.mechanics.numerics.cost import Earlier, expected, ordinary
 
 PLAIN = ("outputs.unloaded=false", "outputs.sensitivities=false", "outputs.frames=0")
 

@@ -14,9 +14,9 @@ from lacli.contracts.bundle import save
 from lacli.contracts.features import FEATURES
 from lacli.contracts.scene import build_scene
 from lacli.contracts.targets import Targets
-from lacli.mechanics.accuracy import measured, model
-from lacli.mechanics.accuracy.model import Resolution, correlation, family, model_errors, moved_mm, resolution, scale
-from lacli.mechanics.accuracy.stated import MEASURED, MODEL, said_of, stated_errors, with_discretisation
+from lacli.mechanics.numerics import accuracy, error_model
+from lacli.mechanics.numerics.error_model import Resolution, correlation, family, model_errors, moved_mm, resolution, scale
+from lacli.mechanics.numerics.stated import MEASURED, MODEL, said_of, stated_errors, with_discretisation
 
 WHERE = Resolution(1, 4.0, 100.0, 2.0)
 
@@ -26,7 +26,7 @@ def plain(monkeypatch: pytest.MonkeyPatch) -> None:
     """A model with round coefficients: typical errors are 8 h / L of the scale for d_roof, 16 h / L for volumes."""
     features = {"d_roof_mm": math.log(8.0), "volume_ml": math.log(16.0), "area_strain_roof": 0.0}
     order = {"h": 1.0, "t": 1.0, "features": features, "factor": 3.0}
-    monkeypatch.setattr(model, "_model", lambda: {"1": order, "2": {**order, "h": 3.0}})
+    monkeypatch.setattr(error_model, "_model", lambda: {"1": order, "2": {**order, "h": 3.0}})
 
 
 @pytest.mark.usefixtures("plain")
@@ -78,7 +78,7 @@ def test_a_cube_s_resolution() -> None:
 
 def test_the_built_in_model_knows_every_feature_and_falls_with_finer_cells() -> None:
     for order in (1, 2):
-        known = model._model()[str(order)]
+        known = error_model._model()[str(order)]
         assert {family(f.key) for f in FEATURES} <= set(known["features"]), "a feature without an error"
         assert known["h"] > 0, "errors that grow under refinement"
         assert known["coverage"] >= 0.85 and known["anatomies"] >= 8
@@ -95,7 +95,7 @@ def test_what_was_measured_comes_first_and_the_source_is_told(tmp_path: Path) ->
     scene = build_scene({"anatomy": {"bundle": "b"}}, ["numerics.order=1"], folder=tmp_path, where="test")
     features = {"d_global_mm": 5.0, "d_roof_mm": 7.0, "esv_ml": 90.0}
     assert set(stated_errors(scene, bundle, features).source.values()) == {MODEL}
-    measured.record(scene, {"d_roof_mm": 0.25}, scene)
+    accuracy.record(scene, {"d_roof_mm": 0.25}, scene)
     stated = stated_errors(scene, bundle, features)
     assert stated.source == {"d_roof_mm": MEASURED, "esv_ml": MODEL}
     assert stated.errors["d_roof_mm"] == 0.25
@@ -115,7 +115,7 @@ def test_what_was_measured_comes_first_and_the_source_is_told(tmp_path: Path) ->
 def test_errors_of_one_feature_at_several_times_go_together() -> None:
     names = ("d_roof_mm@0.1", "d_roof_mm@0.2", "d_septum_mm@0.1", "esv_ml", "volume_ml@0.1", "other", "another")
     found = correlation(names)
-    rho = model.ACROSS_TIMES
+    rho = error_model.ACROSS_TIMES
     assert found[0, 1] == rho and found[3, 4] == rho
     assert found[0, 2] == found[0, 3] == 0.0
     assert (np.linalg.eigvalsh(correlation(names[:5])) > 0).all()
@@ -126,5 +126,5 @@ def test_errors_of_one_feature_at_several_times_go_together() -> None:
 
 
 def test_the_model_s_file_is_what_the_benchmark_writes() -> None:
-    document = json.loads(model.FILE.read_text())
+    document = json.loads(error_model.FILE.read_text())
     assert set(document) == {"held", "finest_mm", "orders"} and set(document["orders"]) == {"1", "2"}

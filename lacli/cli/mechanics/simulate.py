@@ -207,7 +207,7 @@ def _label(name: str) -> tuple[str, str]:
 
 def _show_plan(scene: Scene, root: Path, as_json: bool) -> None:
     from lacli.contracts import bundle as bundles
-    from lacli.mechanics import cost
+    from lacli.mechanics.numerics import cost
     from lacli.mechanics.plan import describe
 
     bundle = bundles.load(scene.anatomy.bundle)
@@ -241,7 +241,7 @@ def _show_plan(scene: Scene, root: Path, as_json: bool) -> None:
 def _earlier(root: Path) -> list[Any]:
     """The latest finished runs of a folder, for what they cost."""
     from lacli.contracts.scene import load_scene
-    from lacli.mechanics.cost import Earlier
+    from lacli.mechanics.numerics.cost import Earlier
 
     done = [run for run in list_runs(root) if run.status == "done"]
     latest = sorted(done, key=lambda run: str(run.manifest.get("finished")))[-_PRICED:]

@@ -15,7 +15,7 @@ from lacli.contracts import bundle as bundles
 from lacli.contracts.features import KEYS, PUBLISHED
 from lacli.contracts.labels import BODY_REGIONS
 from lacli.contracts.scene import Scene, load_scene
-from lacli.mechanics.accuracy.stated import with_errors
+from lacli.mechanics.numerics.stated import with_errors
 from lacli.report.page import methods
 from lacli.report.page.document import Figure, Page, Section, Table, number, picture
 from lacli.report.page.references import bibtex

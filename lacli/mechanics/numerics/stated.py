@@ -12,8 +12,8 @@ from lacli.contracts import bundle as bundles
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.scene import Scene
 from lacli.contracts.targets import Targets
-from lacli.mechanics.accuracy.measured import known_errors
-from lacli.mechanics.accuracy.model import correlation, model_errors, resolution
+from lacli.mechanics.numerics.accuracy import known_errors
+from lacli.mechanics.numerics.error_model import correlation, model_errors, resolution
 
 MEASURED, MODEL = "measured", "model"
 

@@ -4,7 +4,7 @@ With h the mean edge of the endocardium's triangles, t the wall's mean thickness
 and s the feature's scale (``scale``), the typical error is s exp(c + p ln(h / L) + q ln(t / h)): p and q by the order of the
 cells, c by the order and the feature's key, at all times the same. What is stated is the typical error times a factor, such
 that 95 % of the true errors of anatomies which the fit has not seen lie within twice the stated: a standard deviation, were
-errors normal. Coefficients and that share stand in ``model.json``, written by ``benchmarks/errors.py``.
+errors normal. Coefficients and that share stand in ``error_model.json``, written by ``benchmarks/errors.py``.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from lacli.contracts.labels import BODY_REGIONS, ENDO, is_body
 from lacli.geometry.tetrahedra import volumes
 from lacli.geometry.triangles import area_normals
 
-FILE = Path(__file__).with_name("model.json")
+FILE = Path(__file__).with_name("error_model.json")
 ACROSS_TIMES = 0.9  # correlation taken between the errors of one feature at two times (benchmarks/errors.py --times)
 
 
