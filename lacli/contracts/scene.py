@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -154,6 +154,19 @@ def with_parameters(scene: Scene, values: Mapping[str, float]) -> Scene:
             place = place[part]
         place[last] = int(value) if QUANTITIES[name].whole else float(value)
     return build_scene(document, [], folder=Path("/"), where="parameters")
+
+
+def parameters_of(scene: Scene, names: Sequence[str]) -> list[float]:
+    """The values of quantities of contracts/parameters in a scene, by their names: the inverse of ``with_parameters``."""
+    found = []
+    for name in names:
+        if name not in QUANTITIES:
+            raise SceneError(f"unknown parameter {brief(name)}; known: {', '.join(QUANTITIES)}.")
+        value: Any = scene
+        for part in QUANTITIES[name].key.split("."):
+            value = getattr(value, part)
+        found.append(float(value))
+    return found
 
 
 def notes(scene: Scene) -> list[str]:

@@ -7,7 +7,6 @@ scene takes is known for an ordinary one; soft walls at high pressure take up to
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from statistics import median
@@ -15,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from lacli.base.arrays import FloatArray
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.parameters import QUANTITIES, STUDY
-from lacli.contracts.scene import Scene
+from lacli.contracts.scene import Scene, parameters_of
 from lacli.geometry.tetrahedra import TET10_EDGES
 
 _SYSTEM_S = 2.0e-7  # CPU seconds of one linear system over n^1.5, assembly included
@@ -100,17 +100,7 @@ def expected(scene: Scene, bundle: Bundle, earlier: Iterable[Earlier]) -> Cost:
     return Cost(count, cpu * median(of_cpu), memory * (median(of_memory) if of_memory else 1.0), len(chosen))
 
 
-def _inputs(scene: Scene) -> np.ndarray[Any, np.dtype[np.float64]]:
+def _inputs(scene: Scene) -> FloatArray:
     """The study's inputs as shares of their ranges (14,)."""
-    values = []
-    for name in STUDY:
-        quantity = QUANTITIES[name]
-        value: Any = scene
-        for part in quantity.key.split("."):
-            value = getattr(value, part)
-        assert quantity.study is not None
-        low, high = quantity.study
-        values.append((float(value) - low) / (high - low))
-    found = np.array(values)
-    assert all(math.isfinite(v) for v in found)
-    return found
+    low, high = np.array([QUANTITIES[name].study for name in STUDY], float).T
+    return np.asarray((np.array(parameters_of(scene, STUDY)) - low) / (high - low))
