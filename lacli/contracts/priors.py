@@ -54,7 +54,8 @@ class Prior:
     def residual(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """r (m,) and dr/dx (m,) at x (m,) within the ends, with -1/2 r^2 the log density up to a constant.
 
-        Of a log-normal -1/2 ((l - c) / s)^2 - l, l = log x, is a square too: of (l - c + s^2) / s. Raises ValueError of a uniform one.
+        Of a log-normal -1/2 ((l - c) / s)^2 - l, l = log x, is a square too: of (l - c + s^2) / s.
+        Raises ValueError of a uniform one.
         """
         if self.distribution == "uniform":
             raise ValueError("a uniform prior has no residual")

@@ -23,7 +23,7 @@ _LEAST = 0.1  # of the points must count in the tempered weights that the next p
 def log_posterior(components: Components, scale: Scale, z: FloatArray) -> FloatArray:
     """(m,) at z (m, d), up to a constant; -inf outside the box. Components must be the ``reduced`` ones to be fast."""
     value = np.full(len(z), -np.inf)
-    inside = ((z >= 0.0) & (z <= 1.0)).all(1)
+    inside = np.asarray(((z >= 0.0) & (z <= 1.0)).all(1))
     inside[inside] = scale.box.contains(scale.to_x(z[inside]))
     if inside.any():
         mean, variance = components.predict(z[inside])

@@ -163,7 +163,7 @@ class Components:
         |c| is kept to ``_STILL``; rotation is that of the components which still vary, and of no use for the rest.
         """
         lively = self.variance > _STILL
-        still = np.linalg.qr(self.trend[:, ~lively].T, mode="r").T  # (1 + d, k): |t' trend| = |t' R'|
+        still = np.asarray(np.linalg.qr(self.trend[:, ~lively].T, mode="r")).T  # (1 + d, k): |t' trend| = |t' R'|
         none = np.zeros((len(self.weights), still.shape[1]))
         return replace(
             self, weights=np.hstack([self.weights[:, lively], none]), trend=np.hstack([self.trend[:, lively], still]),
