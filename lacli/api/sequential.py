@@ -70,7 +70,7 @@ def seek(
     from lacli.inference.box import published_box
     from lacli.inference.runs import RunLog, runs_identity
     from lacli.inference.runs import obstacle as in_the_way
-    from lacli.mechanics.accuracy import known_errors
+    from lacli.mechanics.numerics.accuracy import known_errors
     from lacli.report.inference_figures_posterior import corner_figure, trace_figure
 
     if scene.numerics.unloading != "prestrain" or scene.numerics.engine == "script":
