@@ -97,7 +97,8 @@ def collect(folder: Path, seeds: range, choices: tuple[tuple[int, float], ...], 
                 f"seed {seed}, order {order}, {cell_mm:g} mm: {rows[-1]['status']}, {rows[-1].get('cpu_s') or 0:.0f} CPU s",
                 flush=True,
             )
-    return [row for row in rows if row["seed"] in seeds]
+    last = {(row["seed"], row["order"], row["cell_size_mm"]): row for row in rows}
+    return [row for row in last.values() if row["seed"] in seeds]
 
 
 @dataclass(frozen=True)
