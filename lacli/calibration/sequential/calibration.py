@@ -51,8 +51,10 @@ def calibrate_sequentially(
     log: RunLog,
     monitor: Monitor = lambda status: None,
     notes: Sequence[str] = (),
+    first: FloatArray | None = None,
 ) -> Sequential:
-    """Calibrate against the targets; ``log`` holds the runs, which must tell derivatives; ``notes`` go into the result.
+    """Calibrate against the targets; ``log`` holds the runs, which must tell derivatives; ``notes`` go into the result. first
+    (k, d): inputs to start from in place of points over the box (k >= 4), such as those of runs there are.
 
     Raises LacliError where runs tell none or too few finish, UsageError where the folder holds another calibration.
     """
@@ -67,7 +69,7 @@ def calibrate_sequentially(
     write_identity(folder / FILE, identity)
     search = Search(simulator, box, targets, settings, log, monitor)
     search.notes.extend(notes)
-    evidence = _start(search)
+    evidence = _start(search, None if first is None else search.scale.to_z(first))
     evidence, components = _descend(search, evidence)
     map_runs = len(search.x)
     known = [_best(evidence)]
@@ -76,7 +78,7 @@ def calibrate_sequentially(
     )
     chain, evidence, moved, local, stopped = _refine(search, evidence, known, folder)
     evidence, known_after, components, swept = _other_modes(
-        search, evidence, known, components, "check of the box", search.left - 1
+        search, evidence, known, components, "check of the box", settings.mode_runs // 2
     )
     if len(known_after) > len(known):  # a mode that the first look missed: around it too
         known = known_after
@@ -95,12 +97,14 @@ def sequential_identity(box: Box, targets: Targets, settings: Settings, runs: An
     return identify("calibration", way="sequential", runs=runs, box=box, targets=targets, settings=chosen, sampling=sampling)
 
 
-def _start(search: Search) -> Evidence:
-    """The middle of the box and low-discrepancy points; more while fewer than two runs finish with derivatives."""
+def _start(search: Search, first: FloatArray | None) -> Evidence:
+    """The middle of the box and low-discrepancy points, or those given; more while fewer than two finish with derivatives."""
     d = search.box.d
+    if first is not None:
+        search.run(first, "given")
     sobol = qmc.Sobol(d, rng=np.random.default_rng(search.settings.seed)).random(64)
     z = np.vstack([np.full((1, d), 0.5), 0.1 + 0.8 * sobol])
-    evidence = search.run(z[: search.settings.starts], "starts")
+    evidence = search.run(z[: search.settings.starts if first is None else 0], "starts")
     at = search.settings.starts
     while evidence.told.sum() < 2 and at < min(len(z), search.settings.starts + 16):
         evidence = search.run(z[at : at + 4], "starts")

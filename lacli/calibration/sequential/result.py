@@ -116,6 +116,7 @@ def document(result: Sequential) -> dict[str, Any]:
         "posterior": result.table,
         "emulator_change_sd": dict(zip(result.box.names, result.change.tolist(), strict=True)),
         "modes": [dict(zip(result.box.names, row, strict=True)) for row in result.minima.tolist()],
-        "box_not_ruled_out_elsewhere": result.sweep.elsewhere, "converged": result.chain.converged,
+        "probability_elsewhere": result.sweep.elsewhere, "box_not_ruled_out": result.sweep.open_,
+        "converged": result.chain.converged,
         "samples": len(result.chain.flat()), "fit": result.fit, "held_out": result.held_out,
     }  # fmt: skip
