@@ -39,6 +39,7 @@ FILE, RESULT = "calibration.json", "result.json"
 _MODE = 25.0  # excess of chi^2 up to which a second minimum has a share in the posterior
 _LOCAL = 12.0  # Mahalanobis distance up to which a run takes part in the local emulator
 _DESCENT_ROUNDS = 24
+_AT_ONCE = 3  # runs of the check of the box between two looks
 
 
 @single_threaded
@@ -78,7 +79,7 @@ def calibrate_sequentially(
     )
     chain, evidence, moved, local, stopped = _refine(search, evidence, known, folder)
     evidence, known_after, components, swept = _other_modes(
-        search, evidence, known, components, "check of the box", settings.mode_runs // 2
+        search, evidence, known, components, "check of the box", settings.mode_runs // 2, rule_out=True
     )
     if len(known_after) > len(known):  # a mode that the first look missed: around it too
         known = known_after
@@ -143,26 +144,33 @@ def _best(evidence: Evidence) -> Laplace:
 
 
 def _other_modes(
-    search: Search, evidence: Evidence, known: list[Laplace], components: Components | None, stage: str, budget: int
+    search: Search,
+    evidence: Evidence,
+    known: list[Laplace],
+    components: Components | None,
+    stage: str,
+    budget: int,
+    rule_out: bool = False,
 ) -> tuple[Evidence, list[Laplace], Components, modes.Sweep]:
-    """Run where another mode may be, until nothing is left or the budget is used; modes found are added."""
+    """Run where another mode may be, until nothing is left or the budget is used; modes found are added. rule_out: also where the
+    box is not ruled out, though nothing speaks for it."""
     known = list(known)
     used = 0
     while True:
         search.say("emulators")
         components = fit(evidence.z, evidence.residual, evidence.jacobian, components)
-        best = float(evidence.misfit.min())
-        found = modes.sweep(components, known, best, search.settings.seed)
-        count = min(2, budget - used, search.left - 1)
-        if not len(found.candidates) or count <= 0:
+        found = modes.sweep(components, known, float(evidence.misfit.min()), search.settings.seed)
+        count = min(_AT_ONCE, budget - used, search.left - 1)
+        where = found.candidates if len(found.candidates) or not rule_out or found.settled else found.doubtful
+        if not len(where) or count <= 0:
             return evidence, known, components, found
         before = len(search.x)
-        evidence = search.run(found.candidates[:count], stage)
+        evidence = search.run(where[:count], stage)
         if len(search.x) == before:
             return evidence, known, components, found
         used += len(search.x) - before
         components = fit(evidence.z, evidence.residual, evidence.jacobian, components)
-        for z in found.candidates[:count]:
+        for z in where[:count]:
             row = descent.at(evidence, z)
             ran = np.abs(evidence.z[row] - z).max() < 1e-6 and evidence.told[row]
             as_good = evidence.misfit[row] < evidence.misfit.min() + _MODE

@@ -27,6 +27,8 @@ _LEVEL = 1e-4  # of a chi-square in the inputs: of this little posterior mass a 
 _DESCENTS = 48
 _APART = 0.1  # widths of the box between two valleys
 _CONTENDER = 1e-3  # posterior probability from which a valley is looked at with a run
+_RULED_OUT = 0.01  # of the box: as little left open is ruled out
+_ASUNDER, _DOUBTFUL = 0.3, 12  # widths of the box between doubtful points, and how many of them
 _NOTHING = 0.01  # as improbable, other modes are no matter
 
 
@@ -34,12 +36,18 @@ _NOTHING = 0.01  # as improbable, other modes are no matter
 class Sweep:
     """Of ``points`` of the box, low-discrepancy: ``elsewhere``, the posterior probability that may lie away from the known modes;
     open_: the share of the box that history matching does not rule out there; candidates (k, d): valleys elsewhere that are not
-    negligible, the most probable first."""
+    negligible, the most probable first; doubtful (k, d): points that are not ruled out, far from each other."""
 
     points: int
     elsewhere: float
     open_: float
     candidates: FloatArray
+    doubtful: FloatArray
+
+    @property
+    def settled(self) -> bool:
+        """Whether nothing is left to look at."""
+        return not len(self.candidates) and (self.open_ < _RULED_OUT or not len(self.doubtful))
 
     def words(self) -> str:
         """How surely there is no other mode."""
@@ -81,7 +89,14 @@ def sweep(components: Components, known: list[Laplace], best: float, seed: int) 
     other = float(logsumexp([beside, *(mass for mass, _ in found)]))
     odds = [valley for valley in found if valley[0] - whole > np.log(_CONTENDER)]
     elsewhere = float(expit(other - whole))
-    return Sweep(_POINTS, elsewhere, float(open_.mean()), np.array([end for _, end in odds]).reshape(-1, d))
+    doubtful: list[FloatArray] = []
+    for i in np.flatnonzero(open_)[np.argsort(optimistic[open_])]:
+        if len(doubtful) < _DOUBTFUL and all(np.abs(z[i] - other).max() > _ASUNDER for other in doubtful):
+            doubtful.append(z[i])
+    return Sweep(
+        _POINTS, elsewhere, float(open_.mean()), np.array([end for _, end in odds]).reshape(-1, d),
+        np.array(doubtful).reshape(-1, d),
+    )  # fmt: skip
 
 
 def same_valley(components: Components, known: list[Laplace], z: FloatArray) -> FloatArray | None:

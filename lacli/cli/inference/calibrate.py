@@ -45,7 +45,7 @@ def command(
         str | None,
         typer.Option(
             help="sequential: to the posterior, with the runs' derivatives (tens of runs); published: waves over the box "
-            "(hundreds). Default: sequential where a scene that tells derivatives is given with targets, else published.",
+            "(hundreds). Default: sequential where a scene that tells derivatives is given with targets and no option of waves.",
         ),
     ] = None,
     first: Annotated[int | None, typer.Option("--first-runs", min=10, help="published: runs of the first wave (200).")] = None,
@@ -101,9 +101,8 @@ def command(
     of_waves = [option for option, value in (("--first-runs", first), ("--wave-runs", following), ("--max-waves", max_waves),
                                              ("--hours", hours), ("--prior", prior)) if value is not None]  # fmt: skip
     if method is None:
-        method = _default_method(scene_file, overrides, targets_file, from_table, sensitivities)
-        if method == "sequential" and of_waves:
-            raise UsageError(f"{', '.join(of_waves)}: of the published method; give --method published with it.")
+        can = scene_file is not None and targets_file is not None and from_table is None and sensitivities and not of_waves
+        method = _default_method(scene_file, overrides) if can and scene_file is not None else "published"
     if method == "sequential":
         if scene_file is None or targets_file is None or from_table is not None:
             raise UsageError("--method sequential needs a SCENE that it can run, and --targets.")
@@ -150,17 +149,11 @@ def command(
     _finish(found, as_json, time.monotonic() - begin)
 
 
-def _default_method(
-    scene_file: Path | None, overrides: list[str] | None, targets: Path | None, table: Path | None, sensitivities: bool
-) -> str:
-    """Sequential where a scene's runs can tell derivatives, and there are targets to go to; published otherwise, with a word."""
-    if scene_file is None or targets is None or table is not None:
-        return "published"
+def _default_method(scene_file: Path, overrides: list[str] | None) -> str:
+    """Sequential where the scene's runs can tell derivatives; published otherwise, with a word."""
     from lacli.api.sequential import lacking
     from lacli.contracts.scene import load_scene
 
-    if not sensitivities:
-        return "published"
     if words := lacking(load_scene(scene_file, overrides or [])):
         err.print(f"note: {words} The published method is used.", highlight=False, soft_wrap=True)
         return "published"
