@@ -16,9 +16,11 @@ from scipy.spatial import cKDTree
 
 from lacli.anatomy import build, quality
 from lacli.anatomy.coordinates import fibres, regions, uac
-from lacli.anatomy.inputs import extraction, image, repair, tagged, voxels
-from lacli.anatomy.openings import clipping, finding, ostium
-from lacli.anatomy.openings.cut import Cut
+from lacli.anatomy.cuts import clipping
+from lacli.anatomy.cuts.cut import Cut
+from lacli.anatomy.inputs import extraction, image, repair, voxels
+from lacli.anatomy.inputs.meshes import tagged
+from lacli.anatomy.openings import finding, ostium
 from lacli.anatomy.openings.landmarks import Landmarks, Opening
 from lacli.anatomy.wall import fat, shell, thickness
 from lacli.contracts.labels import OPENINGS, PLANES

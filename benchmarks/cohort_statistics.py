@@ -18,9 +18,9 @@ import numpy as np
 
 from lacli.base.arrays import FloatArray
 from lacli.base.threads import one_thread
-from lacli.cohort.errors_in_variables import structural_slope
-from lacli.cohort.mixed import known_error, normal_draws, published, rubin
-from lacli.cohort.observations import Observations
+from lacli.cohort.analysis.errors_in_variables import structural_slope
+from lacli.cohort.analysis.mixed import known_error, normal_draws, published, rubin
+from lacli.cohort.analysis.observations import Observations
 
 PATIENTS, REGIONS = 10, 5
 Answer = tuple[float, float, float, float]  # slope, low, high, p

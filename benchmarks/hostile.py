@@ -1,6 +1,6 @@
 """Hostile input to every reader: what the user reads, how long it takes, how much memory, and whether the answer changes.
 
-python benchmarks/hostile.py [--cases 1000] [--seed 0] [--only READER] [--case NUMBER] [--workers 2] [--json]
+python benchmarks/hostile.py [--cases 1000] [--seed 0] [--only READER] [--case NUMBER] [--workers 2] [--record FILE] [--json]
 
 Each case damages one file of a good set and runs the cheapest command that reads it, in a process of its own with limits.
 Asked of every case: one message with exit code 1 or 2, or the answer of the undamaged input, or another one with a note.
@@ -28,6 +28,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import records
 from hostile_files import by_arrays, by_bytes, by_cells, by_words, copy
 
 LIMIT_S, LIMIT_MB, ADDRESS_SPACE = 60, 2048, 12 << 30
@@ -310,13 +311,17 @@ def main() -> None:
     parser.add_argument("--only", choices=[reader.name for reader in READERS])
     parser.add_argument("--case", type=int, help="this case alone")
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--record", type=Path, help="verdicts as they come, a line each; started again, its cases are not redone")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
     only = next((reader for reader in READERS if reader.name == given.only), None)
     numbers = [given.case] if given.case is not None else list(range(given.cases))
-    found, counts = [], Counter[str]()
-    for verdict in cases(numbers, given.seed, only, given.workers):
+    found = records.read(given.record, Verdict)
+    counts = Counter(verdict.verdict for verdict in found)
+    known = {verdict.case for verdict in found}
+    for verdict in cases([n for n in numbers if n not in known], given.seed, only, given.workers):
         found.append(verdict)
+        records.add(given.record, verdict)
         counts[verdict.verdict] += 1
         if verdict.verdict not in FINE or given.case is not None:
             print(f"{verdict.case} {verdict.reader}, {verdict.damage}: {verdict.verdict}\n    {verdict.words[-300:]}", flush=True)

@@ -25,7 +25,7 @@ from lacli.contracts.scene import Scene, build_scene
 from lacli.inference.box import CALIBRATION_INPUTS, OUTPUTS, published_box
 from lacli.inference.design import design
 from lacli.inference.runs import Outcome, RunLog, runs_identity
-from lacli.mechanics.accuracy import known_errors, record
+from lacli.mechanics.numerics.accuracy import known_errors, record
 from lacli.mechanics.store import check_products, find_run, open_run
 from lacli.synthetic.atrium import synthesize
 

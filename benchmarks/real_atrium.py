@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from lacli.anatomy.inputs.tagged import read_tagged
+from lacli.anatomy.inputs.meshes.tagged import read_tagged
 from lacli.anatomy.surface_features import endocardial_regions
 from lacli.contracts import bundle as bundles
 from lacli.contracts.labels import REGIONS

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from lacli.anatomy import build
-from lacli.anatomy.inputs import anything
+from lacli.anatomy.inputs.meshes import anything
 from lacli.anatomy.remeshing.projection import Reference, border_edges
 from lacli.anatomy.remeshing.remesh import remesh_on
 from lacli.anatomy.wall import shell

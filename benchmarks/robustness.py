@@ -1,6 +1,7 @@
 """What a user sees when something goes wrong: a mishap is arranged, a command run, message and aftermath judged.
 
-python benchmarks/robustness.py [--shots 100] [--seed 0] [--json]     (the full disk needs root, else it is left out)
+python benchmarks/robustness.py [--shots 100] [--seed 0] [--only-shots] [--record FILE] [--json]
+(the full disk needs root, else it is left out)
 
 Asked: one clear message, exit code 1 or 2, no traceback, nothing lost or half-written, the same features when run again.
 Of shots (shots.py) at simulate, design, calibrate and mesh, their FreeFEM, workers and compilers, at random moments: products
@@ -187,7 +188,7 @@ def full_disk(place: Place, expected: dict[str, float]) -> Iterator[Verdict]:
     place.root = home
 
 
-def volley(folder: Path, count: int, seed: int) -> Iterator[Verdict]:
+def volley(folder: Path, count: int, seed: int, record: Path | None) -> Iterator[Verdict]:
     """Shots at random moments, one line each on standard error; verdicts by target, victim and signal."""
 
     def tell(shot: Shot) -> None:
@@ -197,11 +198,11 @@ def volley(folder: Path, count: int, seed: int) -> Iterator[Verdict]:
             err.print(shot.said, highlight=False, markup=False, soft_wrap=True)
 
     place = Range(folder)
-    landed, misses = shots(place, count, seed, tell)
+    landed, misses = shots(place, count, seed, tell, record)
     if importlib.util.find_spec("distributed") is not None:
         from shots_cluster import cluster_shots
 
-        landed += cluster_shots(place, count // 7, seed, tell)
+        landed += cluster_shots(place, count // 7, seed, tell, record)
     groups: dict[tuple[str, str, str], list[Shot]] = {}
     for shot in landed:
         groups.setdefault((shot.target, shot.victim, shot.how), []).append(shot)
@@ -222,6 +223,7 @@ def main() -> None:
     parser.add_argument("--shots", type=int, default=100, help="shots that land; 0: none")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only-shots", action="store_true", help="leave the other mishaps out")
+    parser.add_argument("--record", type=Path, help="shots as they land, a line each; started again, these are not shot again")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     # started in the background, Ctrl-C is ignored, and that would be passed on
@@ -235,7 +237,7 @@ def main() -> None:
             verdicts += [verdict for source in sources for verdict in source(place)]
         if options.shots:
             (Path(folder) / "range").mkdir()
-            verdicts += volley(Path(folder) / "range", options.shots, options.seed)
+            verdicts += volley(Path(folder) / "range", options.shots, options.seed, options.record)
     if options.json:
         print_json([vars(verdict) for verdict in verdicts])
     else:

@@ -5,6 +5,7 @@ Used by robustness.py. A shot lands when its victim is there to be hit; one that
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import random
@@ -23,6 +24,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import psutil
+import records
 
 from lacli.contracts.bundle import save
 from lacli.contracts.motion import save_motion
@@ -42,6 +44,7 @@ frames = 0
 fields = "es"
 """
 MARK = "LACLI_SHOT"
+CLUSTER = "design on Dask"
 SIGNALS = ("SIGKILL", "SIGTERM", "SIGHUP", "SIGINT")
 UNTOLD = {"cpu_s", "peak_memory_mb", "wall_s", "attempts", "message"}  # cost, not content
 LEFTOVERS = (".locks/*", ".lock-*", "**/.lock-*", ".tmp-*", "**/.tmp-*", "**/.part-*", "**/.build-*", "**/.old-*")
@@ -71,6 +74,8 @@ class Shot:
     exit_code: int = 0
     faults: list[str] = field(default_factory=list)
     said: str = ""
+    number: int = -1
+    missed: int = 0
 
 
 class Range:
@@ -261,12 +266,15 @@ class Shooter:
 
     def shoot(self, target: Target, victim: str, how: str) -> Shot:
         """One shot that lands; those that miss are counted."""
+        missed = 0
         while True:
             at, mark = self.fresh(target), uuid.uuid4().hex
             shot = self._try(target, victim, how, at, mark)
             shutil.rmtree(at, ignore_errors=True)
             if shot is not None:
+                shot.missed = missed
                 return shot
+            missed += 1
             self.misses[f"{target.name}, {victim}"] += 1
 
     def _try(self, target: Target, victim: str, how: str, at: Path, mark: str) -> Shot | None:
@@ -365,28 +373,42 @@ class Shooter:
             shot.faults.append(f"left over: {', '.join(sorted(left))}")
 
 
-def plan(targets: list[Target], shots: int, chance: random.Random) -> Iterator[tuple[Target, str, str]]:
-    """Whom to shoot, how: compilers (slow to wait for) in every twenty-fifth, FreeFEM and workers in a third, else lacli."""
+def plan(targets: list[Target], shots: int, seed: int) -> Iterator[tuple[int, Target, str, str, random.Random]]:
+    """Number, whom to shoot, how, the shot's own chance: compilers (slow to wait for) in every twenty-fifth, FreeFEM and workers
+    in a third, else lacli itself, every command in its turn."""
     *quick, compiling = targets
+    runs = [target for target in quick if target.name.startswith(("simulate", "design", "calibrate, runs"))]
+    turn = itertools.cycle(quick)
     for number in range(shots):
-        how = SIGNALS[number % len(SIGNALS)]
+        chance, how = random.Random(f"{seed} {number}"), SIGNALS[number % len(SIGNALS)]
         if number % 25 == 24:
-            yield compiling, chance.choice(["compiler", "lacli"]), chance.choice(SIGNALS)
+            yield number, compiling, chance.choice(["compiler", "lacli"]), chance.choice(SIGNALS), chance
         elif number % 3 == 2:
-            runs = [target for target in quick if target.name.startswith(("simulate", "design", "calibrate, runs"))]
             target = chance.choice(runs)
-            yield target, "FreeFEM" if target.name.startswith("simulate") else chance.choice(["FreeFEM", "worker"]), how
+            victim = "FreeFEM" if target.name.startswith("simulate") else chance.choice(["FreeFEM", "worker"])
+            yield number, target, victim, how, chance
         else:
-            yield quick[number % len(quick)], "lacli", how
+            yield number, next(turn), "lacli", how, chance
 
 
-def shots(place: Range, count: int, seed: int, tell: Callable[[Shot], None]) -> tuple[list[Shot], Counter[str]]:
-    """``count`` shots that landed, and how many missed, by target and victim."""
+def shots(
+    place: Range, count: int, seed: int, tell: Callable[[Shot], None], record: Path | None = None
+) -> tuple[list[Shot], Counter[str]]:
+    """``count`` shots that landed, and how many missed, by target and victim; those in ``record`` are not shot again."""
     shooter, targets = Shooter(place, seed), place.targets()
-    for target in targets:
-        shooter.undisturbed(target)
-    landed = []
-    for target, victim, how in plan(targets, count, shooter.chance):
-        landed.append(shooter.shoot(target, victim, how))
-        tell(landed[-1])
-    return landed, shooter.misses
+    landed = [shot for shot in records.read(record, Shot) if shot.target != CLUSTER]
+    known = {shot.number for shot in landed}
+    for shot in landed:
+        shooter.misses[f"{shot.target}, {shot.victim}"] += shot.missed
+    for number, target, victim, how, chance in plan(targets, count, seed):
+        if number in known:
+            continue
+        if not target.timing:
+            shooter.undisturbed(target)
+        shooter.chance = chance
+        shot = shooter.shoot(target, victim, how)
+        shot.number = number
+        records.add(record, shot)
+        landed.append(shot)
+        tell(shot)
+    return landed, +shooter.misses

@@ -18,7 +18,8 @@ from contextlib import suppress
 from pathlib import Path
 
 import psutil
-from shots import LACLI, MARK, Range, Shooter, Shot, is_victim, marked, rows, same
+import records
+from shots import CLUSTER, LACLI, MARK, Range, Shooter, Shot, is_victim, marked, rows, same
 
 CASES = (
     ("worker", "SIGKILL"), ("nanny", "SIGKILL"), ("scheduler", "SIGKILL"),
@@ -63,10 +64,12 @@ def command(place: Range, at: Path, cluster: Cluster) -> list[str]:
     return [*LACLI, "design", str(place.scene), *options, "--store", f"{at}/runs", "--out", f"{at}/design.csv"]
 
 
-def cluster_shots(place: Range, count: int, seed: int, tell: Callable[[Shot], None]) -> list[Shot]:
-    """``count`` shots that landed; a cluster of its own for each."""
-    shooter, expected, landed = Shooter(place, seed), [], []
-    for victim, how in ((None, ""), *(CASES[number % len(CASES)] for number in range(count))):
+def cluster_shots(place: Range, count: int, seed: int, tell: Callable[[Shot], None], record: Path | None = None) -> list[Shot]:
+    """``count`` shots that landed; a cluster of its own for each; those in ``record`` are not shot again."""
+    shooter, expected = Shooter(place, seed), []
+    landed = [shot for shot in records.read(record, Shot) if shot.target == CLUSTER]
+    todo = range(len(landed), count)
+    for victim, how in ((None, ""), *(CASES[number % len(CASES)] for number in todo)) if todo else ():
         at = place.folder / f"cluster-{uuid.uuid4().hex[:8]}"
         at.mkdir()
         cluster = Cluster(place.folder)
@@ -75,6 +78,7 @@ def cluster_shots(place: Range, count: int, seed: int, tell: Callable[[Shot], No
             expected.append(rows(at))
         else:
             landed.append(_shoot(place, at, cluster, victim, how, shooter.chance.uniform(0, 1.5), expected[0]))
+            records.add(record, landed[-1])
             tell(landed[-1])
         cluster.stop()
         shutil.rmtree(at)
@@ -82,7 +86,7 @@ def cluster_shots(place: Range, count: int, seed: int, tell: Callable[[Shot], No
 
 
 def _shoot(place: Range, at: Path, cluster: Cluster, victim: str, how: str, after_s: float, expected: object) -> Shot:
-    shot = Shot("design on Dask", victim, how, after_s)
+    shot = Shot(CLUSTER, victim, how, after_s)
     number = signal.Signals[how]
     with subprocess.Popen(
         command(place, at, cluster), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True

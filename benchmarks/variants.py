@@ -18,7 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from lacli.anatomy.inputs import anything, repair
+from lacli.anatomy.inputs import repair
+from lacli.anatomy.inputs.meshes import anything
 from lacli.anatomy.inputs.voxels import voxel_field
 from lacli.anatomy.openings import branches, finding, naming
 from lacli.anatomy.openings.candidate import Candidate, halves

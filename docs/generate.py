@@ -194,7 +194,7 @@ def features_page() -> str:
 
 def files_page() -> str:
     """The page of files, whose tables between marks are made from the records of what files hold."""
-    from lacli.contracts import records
+    from lacli.contracts.tables import records
 
     text = (HERE / "files.md").read_text(encoding="utf-8")
     made = {"manifest": records.MANIFEST, "run": records.RUN, "table": records.TABLE, "targets": records.TARGET}

@@ -7,7 +7,7 @@ from itertools import permutations, product
 import numpy as np
 import pyvista as pv
 
-from lacli.anatomy.openings.cut import Cut, cut_open
+from lacli.anatomy.cuts.cut import Cut, cut_open
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.labels import ENDO, EPI
 from lacli.geometry.surface import Surface

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from lacli.anatomy.inputs.tagged import read_tagged
+from lacli.anatomy.inputs.meshes.tagged import read_tagged
 from lacli.contracts.bundle import check, save
 from lacli.contracts.motion import save_motion
 from lacli.motion.annulus import descend

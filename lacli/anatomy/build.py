@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lacli.anatomy.coordinates import describe as coordinates
+from lacli.anatomy.cuts import closed_cut, trunk
+from lacli.anatomy.cuts.closing import CAP
 from lacli.anatomy.inputs import extraction, labelled, patches, repair, voxels
-from lacli.anatomy.inputs.anything import Mesh
 from lacli.anatomy.inputs.image import Image
+from lacli.anatomy.inputs.meshes.anything import Mesh
 from lacli.anatomy.inputs.patches import Tagged
 from lacli.anatomy.inputs.repair import Repaired
-from lacli.anatomy.openings import closed_cut, finding, trunk
+from lacli.anatomy.openings import finding
 from lacli.anatomy.openings.candidate import Candidate, place
-from lacli.anatomy.openings.closing import CAP
 from lacli.anatomy.openings.landmarks import LPS, Axes, Landmarks
 from lacli.anatomy.openings.mitral import lv_contact, of_contact
 from lacli.anatomy.wall.shell import TooTightError, mesh_shell

@@ -18,7 +18,8 @@ import numpy as np
 
 from lacli.anatomy import build, quality
 from lacli.anatomy.build import Built, Options, Say
-from lacli.anatomy.inputs import anything, image, labelled, meshfile, surfacefile
+from lacli.anatomy.inputs import image, labelled
+from lacli.anatomy.inputs.meshes import anything, meshfile, surfacefile
 from lacli.anatomy.opening_pictures import draw_readings
 from lacli.anatomy.openings import landmarks
 from lacli.anatomy.openings.finding import OpeningsError

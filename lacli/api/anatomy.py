@@ -68,7 +68,7 @@ def mesh(
     """
     from lacli.anatomy import meshing
     from lacli.anatomy.build import Options
-    from lacli.anatomy.inputs import meshfile
+    from lacli.anatomy.inputs.meshes import meshfile
     from lacli.base.files import check_folder
 
     own = None if fibres in meshing.FIBRE_RULES else Path(fibres)

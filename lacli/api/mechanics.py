@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from lacli.contracts.scene import Scene
     from lacli.freefem.run import Progress as SolverProgress
     from lacli.mechanics.installation import Check as InstallationCheck
+    from lacli.mechanics.numerics.tradeoff import Variant
     from lacli.mechanics.simulation import RunResult
-    from lacli.mechanics.tradeoff import Variant
     from lacli.verification.problems import Check as VerificationCheck
 
 
@@ -126,7 +126,7 @@ def tradeoff(
     that later results carry them. Raises AnatomyError, InputError where no choice ends, SolverMissingError, StorageError,
     Cancelled (simulations that ended are kept).
     """
-    from lacli.mechanics import tradeoff as measure
+    from lacli.mechanics.numerics import tradeoff as measure
 
     if finer is not None and not (finer / "wall.vtu").is_file():
         raise AnatomyError(f"{finer}: not an anatomy bundle. Mesh the same atrium with a smaller --cell-size-mm.")

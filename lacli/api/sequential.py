@@ -11,7 +11,8 @@ from lacli.api.progress import Cancel, OnProgress, Stage
 from lacli.base.errors import UsageError
 
 if TYPE_CHECKING:
-    from lacli.calibration.sequential.calibration import Sequential, Settings, Status
+    from lacli.calibration.sequential.result import Sequential
+    from lacli.calibration.sequential.search import Settings, Status
     from lacli.contracts.scene import Scene
     from lacli.contracts.targets import Targets
     from lacli.inference.box import Box
@@ -62,13 +63,14 @@ def seek(
     """
     from lacli.base.files import check_folder, superseded
     from lacli.calibration.calibration import obstacle
-    from lacli.calibration.sequential.calibration import Settings, calibrate_sequentially, sequential_identity
+    from lacli.calibration.sequential.calibration import calibrate_sequentially, sequential_identity
+    from lacli.calibration.sequential.search import Settings
     from lacli.calibration.simulator import simulator
     from lacli.contracts.identity import settle
     from lacli.inference.box import published_box
     from lacli.inference.runs import RunLog, runs_identity
     from lacli.inference.runs import obstacle as in_the_way
-    from lacli.mechanics.accuracy import known_errors
+    from lacli.mechanics.numerics.accuracy import known_errors
     from lacli.report.inference_figures_posterior import corner_figure, trace_figure
 
     if scene.numerics.unloading != "prestrain" or scene.numerics.engine == "script":

@@ -13,9 +13,9 @@ from lacli.base.errors import LacliError, UsageError
 if TYPE_CHECKING:
     from lacli.api.progress import Cancel, OnProgress
     from lacli.base.arrays import FloatArray
+    from lacli.cohort.analysis.statistics import Statistics
     from lacli.cohort.comparison import Comparison
     from lacli.cohort.participants import Participant
-    from lacli.cohort.statistics import Statistics
     from lacli.cohort.steps import Step
     from lacli.cohort.study import Outcome, Planned
 
@@ -104,8 +104,8 @@ def stats(
     calibrated to. Raises TableError, InputError, UsageError before anything is computed.
     """
     from lacli.base.threads import one_thread
-    from lacli.cohort.observations import read_observations
-    from lacli.cohort.statistics import statistics
+    from lacli.cohort.analysis.observations import read_observations
+    from lacli.cohort.analysis.statistics import statistics
     from lacli.contracts.targets import read_targets
 
     observed = read_observations(table, [response, *predictors], patient, region, draws)
@@ -121,8 +121,8 @@ def write_report(folder: Path, page: Path, *, figures: Path | None = None, run: 
     simulation that kept its fields, for anatomy and transients. Raises InputError, UsageError, StorageError.
     """
     from lacli.base.files import check_file, check_folder
+    from lacli.cohort.analysis.summary import SUMMARY
     from lacli.cohort.page import study_page
-    from lacli.cohort.summary import SUMMARY
     from lacli.report.page.document import write
     from lacli.report.page.patient import RESULT, patient_page
     from lacli.report.page.run import run_page
@@ -193,9 +193,9 @@ def run_cohort(
     """
     from lacli.api.progress import Stage
     from lacli.base.files import check_folder
+    from lacli.cohort.analysis.summary import write_summary
     from lacli.cohort.participants import read_participants
     from lacli.cohort.study import known_outcome, planned, run
-    from lacli.cohort.summary import write_summary
 
     check_folder(folder)
     every = read_participants(participants)
@@ -226,8 +226,8 @@ def cohort_cost(rows: Sequence[Planned], folder: Path, settings: Path | None = N
     """Cost of a plan: ``calibrations`` to do, ``runs_each`` at most, ``cpu_s_per_run``, the median of the study's runs so far or
     None."""
     from lacli.calibration.calibration import Settings
+    from lacli.cohort.analysis.summary import median_cpu_s
     from lacli.cohort.steps import read_settings
-    from lacli.cohort.summary import median_cpu_s
 
     todo = [row for row in rows if row.step == "calibrate" and row.state != "done" and "--from-table" not in row.command.split()]
     default, given = Settings(), read_settings(settings).options.get("calibrate", {})

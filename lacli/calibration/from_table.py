@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from lacli.base.errors import TableError, UsageError
+from lacli.base.errors import UsageError
 from lacli.base.processes.locks import working_on
 from lacli.calibration.calibration import Calibration, Monitor, Settings, calibrate, calibration_identity, given_runs, obstacle
 from lacli.contracts.identity import settle
-from lacli.contracts.tables.columns import error_of, to_numbers
-from lacli.contracts.tables.table import is_bookkeeping, read_frame
+from lacli.contracts.tables.columns import error_of
+from lacli.contracts.tables.table import input_values, is_bookkeeping, read_frame
 from lacli.contracts.targets import Targets
 from lacli.inference.box import RANGES, Box, table_box
 from lacli.inference.runs import RunLog
@@ -28,7 +28,7 @@ def calibrate_table(
     """
     frame = read_frame(path)
     if box is None:
-        box = _box_of(frame, targets)
+        box = _box_of(path, frame, targets)
     missing = [n for n in (*box.names, *targets.names) if n not in frame.columns]
     if missing:
         raise UsageError(f"{path}: no column {', '.join(missing)}; the columns are {', '.join(frame.columns)}.")
@@ -42,20 +42,10 @@ def calibrate_table(
         return folder, calibrate(None, box, targets, settings, folder, log, given=given, monitor=monitor)
 
 
-def _box_of(frame: pd.DataFrame, targets: Targets) -> Box:
+def _box_of(path: Path, frame: pd.DataFrame, targets: Targets) -> Box:
     others = [n for n in frame.columns if n not in targets.names and not is_bookkeeping(n)]
     others = [n for n in others if error_of(n, list(frame.columns)) is None]
     names = [n for n in others if n in RANGES] or others
-    x = frame[names].apply(_number).to_numpy(float)
+    x = input_values(frame[names], f"--from-table {path}")
     still = np.ptp(x, axis=0) == 0
     return table_box([n for n, s in zip(names, still, strict=True) if not s], x[:, ~still])
-
-
-def _number(column: pd.Series) -> pd.Series:
-    values = to_numbers(column)
-    if values.isna().any():
-        row = int(values.isna().to_numpy().argmax())
-        cell = column.iloc[row]
-        what = "is empty" if pd.isna(cell) else f"holds {cell!r}, which is not a number"
-        raise TableError(f"--from-table: input {column.name}, row {row + 1} {what}. Fill it in or remove the run.")
-    return values

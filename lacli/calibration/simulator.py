@@ -50,7 +50,7 @@ class SceneSimulator:
         return {**kept, "freefem": _solver(), "discretisation_error": self._errors()}
 
     def _errors(self) -> dict[str, float]:
-        from lacli.mechanics.accuracy import known_errors
+        from lacli.mechanics.numerics.accuracy import known_errors
 
         return known_errors(self.scene)
 

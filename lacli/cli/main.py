@@ -54,8 +54,8 @@ def run() -> None:
 
     Ctrl-C, SIGTERM and SIGHUP are caught before anything else is imported; they end in one message and exit code 128 + n.
     """
-    signals.catch()
     try:
+        signals.catch()
         code = _code_of_the_command()
     finally:
         signals.settle()
@@ -63,6 +63,8 @@ def run() -> None:
 
 
 def _code_of_the_command() -> int:
+    import typer.main
+
     from lacli.base.errors import LacliError
     from lacli.cli.terminal.console import fail
 
@@ -74,18 +76,22 @@ def _code_of_the_command() -> int:
     try:
         try:
             with _caches():
-                build(called)()
+                # not the application itself: it would put a hook for uncaught exceptions in the place of ours
+                typer.main.get_command(build(called))()
         except SystemExit as ended:
             sys.stdout.flush()  # here, where a full disk can still be told
             return ended.code if isinstance(ended.code, int) else int(bool(ended.code))
     except LacliError as error:
-        fail(error)
+        if not signals.stopping():
+            fail(error)
         return error.exit_code
     except BrokenPipeError:
         return 141  # whoever read our output has enough of it
     except OSError as error:
         from lacli.base.processes.machine import FULL, full_words
 
+        if signals.stopping():
+            return 1
         if error.errno in FULL:
             fail(LacliError(full_words(error.filename or _full_place(), error.errno)))
         elif error.filename is None or error.strerror is None:

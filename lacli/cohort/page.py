@@ -10,10 +10,10 @@ import pandas as pd
 from lacli.base.documents import read_json
 from lacli.base.errors import InputError
 from lacli.base.version import __version__
-from lacli.cohort.journal import PAIR_HEAD, SLOPE_HEAD, pair_rows, slope_rows
-from lacli.cohort.observations import Observations, read_observations
-from lacli.cohort.statistics import Statistics, statistics
-from lacli.cohort.summary import MODELS, PATIENTS, REGIONS, SUMMARY
+from lacli.cohort.analysis.journal import PAIR_HEAD, SLOPE_HEAD, pair_rows, slope_rows
+from lacli.cohort.analysis.observations import Observations, read_observations
+from lacli.cohort.analysis.statistics import Statistics, statistics
+from lacli.cohort.analysis.summary import MODELS, PATIENTS, REGIONS, SUMMARY
 from lacli.contracts.tables.file import read_frame
 from lacli.report.cohort_figures import regions_figure, scatter_figure
 from lacli.report.page.document import Figure, Page, Section, Table, number, picture

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 
@@ -12,12 +13,16 @@ import pandas as pd
 
 from lacli.base.documents import brief
 from lacli.base.errors import TableError
-from lacli.cohort.observations import check_identifier
+from lacli.base.notes import note
+from lacli.cohort.analysis.observations import check_identifier
+from lacli.contracts.tables.absent import check_column
+from lacli.contracts.tables.columns import to_numbers
 from lacli.contracts.tables.file import read_frame
 
 ID = "participant_id"
 PATHS = ("labels", "bundle", "ct", "images", "targets", "table", "scene")
-_NUMBERS = ("age", "heart_rate_bpm", "ed_volume_ml")
+# columns of numbers that are known: unit, and what a patient can have
+_NUMBERS = {"age": ("years", 0.0, 125.0), "heart_rate_bpm": ("beats a minute", 15.0, 400.0), "ed_volume_ml": ("mL", 1.0, 1500.0)}
 _MISSING = ("n/a", "na", "")
 
 
@@ -54,6 +59,9 @@ def read_participants(path: Path) -> list[Participant]:
             wrong.append(f"row {row}: {name} stands twice (as {other}); folders would be one")
             continue
         found.append(_participant(path.parent, name, cells, wrong))
+    for column in frame.columns:
+        if column not in (ID, *PATHS, *_NUMBERS):
+            _check_own(str(column), frame[column], str(path), wrong)
     if wrong:
         more = f" (and {len(wrong) - 8} more)" if len(wrong) > 8 else ""
         raise TableError(f"{path}: {'; '.join(wrong[:8])}{more}. Nothing was run.")
@@ -72,8 +80,8 @@ def _participant(home: Path, name: str, cells: Mapping[object, object], wrong: l
                 wrong.append(f"{name}: {column} {place} is not there")
             paths[column] = place.absolute()
             continue
-        if column in _NUMBERS and not _is_number(text):
-            wrong.append(f"{name}: {column} is {brief(text)}, not a number")
+        if column in _NUMBERS and (words := _impossible(text, *_NUMBERS[column])):
+            wrong.append(f"{name}: {column} is {brief(text)}, {words}")
         others[column] = text
     if "table" in paths:
         if "targets" not in paths:
@@ -86,16 +94,33 @@ def _participant(home: Path, name: str, cells: Mapping[object, object], wrong: l
     return Participant(name, MappingProxyType(paths), MappingProxyType(others))
 
 
+def _impossible(text: str, unit: str, low: float, high: float) -> str:
+    """Why a cell cannot be a number from low to high, in words; '' where it is one."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        return "not a number"
+    return "" if low <= value <= high else f"out of {low:g} to {high:g} {unit}; write n/a where it is not known"
+
+
+def _check_own(name: str, cells: pd.Series, where: str, wrong: list[str]) -> None:
+    """A column of one's own, where it holds numbers: codes of missing values are said, for they would count as values."""
+    if cells.dtype != bool and (values := to_numbers(cells)).notna().any():
+        try:
+            check_column(name, values.to_numpy(float), "column", "Write n/a where it is not known", partial(_told, where))
+        except TableError as error:
+            wrong.append(str(error))
+
+
+def _told(where: str, text: str) -> None:
+    note(f"{where}: {text}")
+
+
 def _text(cell: object) -> str:
     if cell is None or (isinstance(cell, float) and np.isnan(cell)) or cell is pd.NA:
         return ""
     if isinstance(cell, float) and cell.is_integer():
         return str(int(cell))  # a column with a gap is read as floats
     return str(cell).strip()
-
-
-def _is_number(text: str) -> bool:
-    try:
-        return bool(np.isfinite(float(text)))
-    except ValueError:
-        return False

@@ -17,31 +17,36 @@ SAME_TIME = 10.0**-TIME_DIGITS  # times nearer than this have one name
 
 @dataclass(frozen=True)
 class Feature:
-    """``key`` as in every table; ``unit`` ("" for a ratio); ``definition`` in a sentence; ``region`` or None for the whole."""
+    """``key`` as in every table; ``unit`` ("" for a ratio); ``definition`` in a sentence; ``region`` or None for the whole;
+    ``possible``: a closed range that no atrium leaves."""
 
     key: str
     unit: str
     definition: str
     region: str | None = None
+    possible: tuple[float, float] = (-math.inf, math.inf)
 
 
+_VOLUME, _LENGTH, _ALONG = (0.0, 2000.0), (0.0, 200.0), (-200.0, 200.0)
 _REGIONAL = {
-    "d_{}_mm": ("mm", "mean of |u|, u the displacement of the endocardium from ED"),
-    "n_{}_mm": ("mm", "mean of u along the outward normal of the ED surface"),
-    "a_{}_mm": ("mm", "mean of u along the unit tangent of growing UAC alpha (septal to lateral), fixed at ED"),
-    "b_{}_mm": ("mm", "mean of u along the unit tangent of growing UAC beta (posterior to anterior), fixed at ED"),
-    "area_strain_{}": ("", "deformed over ED area of the endocardium, minus 1"),
-    "fibre_strain_{}": ("", "mean Green-Lagrange strain of the endocardial surface along the fibre"),
+    "d_{}_mm": ("mm", _LENGTH, "mean of |u|, u the displacement of the endocardium from ED"),
+    "n_{}_mm": ("mm", _ALONG, "mean of u along the outward normal of the ED surface"),
+    "a_{}_mm": ("mm", _ALONG, "mean of u along the unit tangent of growing UAC alpha (septal to lateral), fixed at ED"),
+    "b_{}_mm": ("mm", _ALONG, "mean of u along the unit tangent of growing UAC beta (posterior to anterior), fixed at ED"),
+    "area_strain_{}": ("", (-1.0, 20.0), "deformed over ED area of the endocardium, minus 1"),
+    "fibre_strain_{}": ("", (-0.5, 20.0), "mean Green-Lagrange strain of the endocardial surface along the fibre"),
 }
 
 FEATURES: tuple[Feature, ...] = (
-    Feature("edv_ml", "mL", "volume inside endocardium and valve planes at ED, curved faces"),
-    Feature("esv_ml", "mL", "volume inside endocardium and valve planes at ES, curved faces"),
-    Feature("volume_ml", "mL", "volume inside endocardium and valve planes, curved faces"),
-    Feature("d_global_mm", "mm", "mean of |u| over the body's endocardium by ED area, u the displacement from ED"),
+    Feature("edv_ml", "mL", "volume inside endocardium and valve planes at ED, curved faces", possible=_VOLUME),
+    Feature("esv_ml", "mL", "volume inside endocardium and valve planes at ES, curved faces", possible=_VOLUME),
+    Feature("volume_ml", "mL", "volume inside endocardium and valve planes, curved faces", possible=_VOLUME),
+    Feature(
+        "d_global_mm", "mm", "mean of |u| over the body's endocardium by ED area, u the displacement from ED", possible=_LENGTH
+    ),
     *(
-        Feature(pattern.format(region), unit, f"{text}; {region}, by ED area", region)
-        for pattern, (unit, text) in _REGIONAL.items()
+        Feature(pattern.format(region), unit, f"{text}; {region}, by ED area", region, possible)
+        for pattern, (unit, possible, text) in _REGIONAL.items()
         for region in BODY_REGIONS
     ),
 )

@@ -14,8 +14,11 @@ import tomli_w
 from lacli.base.arrays import FloatArray
 from lacli.base.documents import brief, read_toml
 from lacli.base.errors import TableError
-from lacli.contracts.covariance import read_covariance
+from lacli.base.notes import note
+from lacli.contracts.features import KEYS
 from lacli.contracts.priors import Prior, read_priors
+from lacli.contracts.tables.absent import CODES, is_code
+from lacli.contracts.tables.covariance import read_covariance
 
 # a measurement is not as exact as a billionth of a thousandth of itself, nor worth the name beyond a million times itself
 # (a mean near 0 is what rounding left of nothing: there the unit is the measure)
@@ -54,8 +57,8 @@ def read_targets(path: Path) -> Targets:
     """Read ``targets.toml``: a table for each feature with ``mean`` and ``sd``, at the top or under ``[targets]``.
 
     Example: ``[targets.esv_ml]``, ``mean = 92.0``, ``sd = 4.6``. ``covariance = "file.npz"`` at the top names the covariance of
-    the errors, in the same folder (contracts.covariance); ``[priors.NAME]`` tells what is known of an input (contracts.priors).
-    Raises TableError with the key at fault.
+    the errors, in the same folder (contracts.tables.covariance); ``[priors.NAME]`` tells what is known of an input
+    (contracts.priors). Raises TableError with the key at fault.
     """
     path = Path(path)
     document = read_toml(path, error=TableError, missing="no such targets file. Write a table for each feature with mean and sd")
@@ -94,6 +97,18 @@ def _target(path: Path, name: str, entry: dict[str, Any]) -> tuple[float, float]
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
             raise TableError(f"{path}: [{name}] needs a finite number for {key}, found {brief(value)}.")
     mean, sd = float(entry["mean"]), float(entry["sd"])
+    if code := next((key for key in ("mean", "sd") if is_code(float(entry[key]))), None):
+        raise TableError(f"{path}: [{name}] {code} is {entry[code]:g}: a mark of a missing value. Leave the target out.")
+    feature = KEYS.get(name.partition("@")[0])
+    if feature is not None and not feature.possible[0] <= mean <= feature.possible[1]:
+        low, high = feature.possible
+        unit = f" {feature.unit}" if feature.unit else ""
+        raise TableError(
+            f"{path}: [{name}] mean {mean:g}{unit} is not possible (allowed: {low:g} to {high:g}{unit}); it is the"
+            f" {feature.definition}. Check its unit, or leave the target out."
+        )
+    if mean in CODES:
+        note(f"{path}: [{name}] mean {mean:g} is what programs write for a missing value; leave the target out if it is one.")
     if sd <= 0:
         raise TableError(f"{path}: [{name}] sd must be positive, found {sd:g}. A measurement has an uncertainty.")
     if sd < _EXACTEST * abs(mean) or sd < _NOTHING:

@@ -14,6 +14,7 @@ import pandas as pd
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import LacliError, TableError, UsageError
 from lacli.base.files import replacing
+from lacli.base.notes import note
 from lacli.base.processes.process import memory_mb
 from lacli.contracts import failures
 from lacli.contracts.identity import Identity, beside, conflict, identify, read_identity, write_identity
@@ -83,7 +84,9 @@ class RunLog:
             return
         if missing := [name for name in self.inputs if name not in frame.columns]:
             raise TableError(f"{self.path}: no column {', '.join(missing)}; the columns are {', '.join(frame.columns)}.")
-        x = input_values(frame[list(self.inputs)], str(self.path))
+        # what we wrote was held against its box
+        tell = note if identity is None else _untold
+        x = input_values(frame[list(self.inputs)], str(self.path), tell)
         for values, cells in zip(x.tolist(), frame.to_dict("records"), strict=True):
             row = self.rows[tuple(values)] = {str(k): v for k, v in cells.items()}
             row.setdefault(STATUS, "done")
@@ -182,6 +185,10 @@ class RunLog:
         """The checked table of the runs at x (m, d), in that order, with the named outputs."""
         frame = self.frame(x)
         return combine(frame, frame, input_names=self.inputs, output_names=outputs, where=str(self.path))
+
+
+def _untold(text: str) -> None:
+    del text
 
 
 def _count(cell: object) -> int:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lacli.base.arrays import FloatArray
-from lacli.inference.emulation.polynomial import Polynomial, fit_polynomial
+from lacli.inference.polynomial import Polynomial, fit_polynomial
 from lacli.inference.sampling.likelihood import Density, gaussian_log_likelihood
 
 _STEEP = 30.0

@@ -15,7 +15,7 @@ from lacli.contracts.case import Case
 from lacli.contracts.labels import BODY_REGIONS, ENDO, EPI, REGIONS, RINGS, is_body, is_plane
 from lacli.contracts.laws import LAWS, MOST_CONSTANTS, NUMBER, RINGS_LAW
 from lacli.contracts.motion import Motion
-from lacli.contracts.scene import Materials, Pericardium
+from lacli.contracts.sections import Materials, Pericardium
 from lacli.freefem.files import CELL_ORDER, write_arrays, write_faces, write_medit
 from lacli.geometry.quadrature import at_quadrature
 

@@ -15,7 +15,8 @@ from lacli.contracts.identity import run_key
 from lacli.contracts.labels import EPI, REGIONS, RINGS, is_body
 from lacli.contracts.laws import LAWS
 from lacli.contracts.motion import Motion
-from lacli.contracts.scene import MMHG_KPA, Scene
+from lacli.contracts.scene import Scene
+from lacli.contracts.sections import MMHG_KPA
 from lacli.motion.annulus import scene_motion
 
 

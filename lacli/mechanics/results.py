@@ -17,7 +17,7 @@ from lacli.base.errors import SimulationError
 from lacli.base.files import write_text
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.case import Case
-from lacli.contracts.scene import MMHG_KPA
+from lacli.contracts.sections import MMHG_KPA
 from lacli.mechanics.features import cell_gradient, regional_extras
 
 FIELDS = "fields"

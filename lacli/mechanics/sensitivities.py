@@ -19,7 +19,7 @@ from lacli.base.errors import SimulationError, TableError
 from lacli.contracts.case import Case
 from lacli.contracts.features import at_time
 from lacli.contracts.labels import BODY_REGIONS
-from lacli.contracts.scene import KPA_PER_UM_KPA_PER_MM, MMHG_KPA
+from lacli.contracts.sections import KPA_PER_UM_KPA_PER_MM, MMHG_KPA
 from lacli.mechanics.features import regional_extras
 from lacli.mechanics.results import Results
 

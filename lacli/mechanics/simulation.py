@@ -16,8 +16,8 @@ from lacli.contracts.scene import Scene, load_scene
 from lacli.freefem.program import find
 from lacli.freefem.run import Outcome
 from lacli.mechanics import deck, results, sensitivities
-from lacli.mechanics.accuracy import known_errors
 from lacli.mechanics.deck import Deck, OnProgress
+from lacli.mechanics.numerics.accuracy import known_errors
 from lacli.mechanics.plan import prepare
 from lacli.mechanics.store import OpenRun, StoredRun, check_products, open_run
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from lacli.anatomy.inputs import extraction, image, surfacefile
+from lacli.anatomy.inputs import extraction, image
+from lacli.anatomy.inputs.meshes import surfacefile
 from lacli.anatomy.surface_features import Endocardium
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import InputError, UsageError

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from lacli.anatomy.coordinates.describe import describe
-from lacli.anatomy.openings.cut import cut_open
+from lacli.anatomy.cuts.cut import cut_open
 from lacli.anatomy.wall.shell import mesh_shell
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import AnatomyError

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lacli.anatomy.coordinates.frame import unit
-from lacli.anatomy.openings.cut import Cut
+from lacli.anatomy.cuts.cut import Cut
 from lacli.anatomy.openings.ostium import area_and_middle, flare_end
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import AnatomyError

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from lacli.anatomy.coordinates.frame import unit
-from lacli.anatomy.openings.cut import Cut, cut_open
+from lacli.anatomy.cuts.cut import Cut, cut_open
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import AnatomyError
 from lacli.contracts.labels import PLANES, is_plane, plane_of

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapes import HEIGHT, RADIUS, RIM, cut_ball
 
-from lacli.anatomy.openings.cut import Cut, cut_open
-from lacli.anatomy.openings.rims import label_rings
+from lacli.anatomy.cuts.cut import Cut, cut_open
+from lacli.anatomy.cuts.rims import label_rings
 from lacli.anatomy.remeshing.projection import border_edges
 from lacli.anatomy.remeshing.remesh import remesh
 from lacli.base.errors import AnatomyError

@@ -12,7 +12,8 @@ import pytest
 from lacli.anatomy import build
 from lacli.anatomy.coordinates import describe as coordinates
 from lacli.anatomy.coordinates import fibres, regions
-from lacli.anatomy.inputs import carp, extraction, image, meshfile
+from lacli.anatomy.inputs import extraction, image
+from lacli.anatomy.inputs.meshes import carp, meshfile
 from lacli.anatomy.openings import finding, landmarks
 from lacli.anatomy.wall import fat
 from lacli.base.errors import AnatomyError

@@ -21,7 +21,7 @@ from lacli.contracts.bundle import save
 from lacli.contracts.identity import run_key
 from lacli.contracts.scene import Scene, build_scene
 from lacli.freefem.run import Progress
-from lacli.mechanics import cost
+from lacli.mechanics.numerics import cost
 from lacli.mechanics.store import open_run
 
 

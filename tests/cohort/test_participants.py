@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lacli.base.errors import TableError, UsageError
-from lacli.cohort.observations import IDENTIFIER
+from lacli.cohort.analysis.observations import IDENTIFIER
 from lacli.cohort.participants import read_participants
 from lacli.cohort.slurm import array_script
 from lacli.cohort.steps import Settings, read_settings, steps_of

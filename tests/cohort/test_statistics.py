@@ -11,12 +11,12 @@ import pytest
 from scipy import stats as scipy_stats
 
 from lacli.base.errors import InputError, LacliError, TableError, UsageError
-from lacli.cohort import journal
-from lacli.cohort.errors_in_variables import structural_slope
-from lacli.cohort.mixed import known_error, normal_draws, published, rubin
-from lacli.cohort.observations import Observations, read_observations
-from lacli.cohort.paired import holm, paired_tests
-from lacli.cohort.statistics import circularity, statistics
+from lacli.cohort.analysis import journal
+from lacli.cohort.analysis.errors_in_variables import structural_slope
+from lacli.cohort.analysis.mixed import known_error, normal_draws, published, rubin
+from lacli.cohort.analysis.observations import Observations, read_observations
+from lacli.cohort.analysis.paired import holm, paired_tests
+from lacli.cohort.analysis.statistics import circularity, statistics
 
 REGIONS = ("anterior", "posterior", "septum", "lateral", "roof")
 

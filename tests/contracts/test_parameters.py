@@ -11,7 +11,8 @@ from pydantic import BaseModel
 
 from lacli.base.errors import SceneError, UsageError
 from lacli.contracts.parameters import BY_KEY, QUANTITIES, STUDY, Quantity, axis_label, judge
-from lacli.contracts.scene import PerRegion, Scene, build_scene, notes, with_parameters
+from lacli.contracts.scene import Scene, build_scene, notes, with_parameters
+from lacli.contracts.sections import PerRegion
 from lacli.inference import box
 
 EVERY = list(QUANTITIES.values())

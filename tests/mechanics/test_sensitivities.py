@@ -15,7 +15,8 @@ from lacli.anatomy.wall.shell import mesh_shell
 from lacli.base.errors import TableError
 from lacli.contracts import bundle as bundles
 from lacli.contracts.labels import EPI, REGIONS, RINGS
-from lacli.contracts.scene import MMHG_KPA, Scene, build_scene, with_parameters
+from lacli.contracts.scene import Scene, build_scene, with_parameters
+from lacli.contracts.sections import MMHG_KPA
 from lacli.freefem.program import FreeFem
 from lacli.mechanics import deck, inputs, plan, sensitivities
 from lacli.mechanics.results import Results

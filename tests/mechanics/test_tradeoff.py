@@ -9,8 +9,8 @@ import pytest
 
 from lacli.base.errors import InputError
 from lacli.contracts.scene import Scene, build_scene
-from lacli.mechanics import accuracy
-from lacli.mechanics.tradeoff import Variant, errors, keep, recommend, reference
+from lacli.mechanics.numerics import accuracy
+from lacli.mechanics.numerics.tradeoff import Variant, errors, keep, recommend, reference
 
 
 def scene(folder: Path, order: int) -> Scene:

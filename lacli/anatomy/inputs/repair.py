@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lacli.anatomy.inputs.surfacefile import unit_scale
+from lacli.anatomy.cuts import clipping, closing
+from lacli.anatomy.inputs.meshes.surfacefile import unit_scale
 from lacli.anatomy.inputs.voxels import from_voxels
-from lacli.anatomy.openings import clipping, closing
 from lacli.anatomy.openings.candidate import RIM, Candidate, area_vector, of_ring
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import AnatomyError

@@ -12,8 +12,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from lacli.anatomy.coordinates.frame import AtrialFrame, frame_from_openings, height, sectors, sweep, two_layer_fibres, unit
+from lacli.anatomy.cuts.rims import RING_WIDTH_MM, label_rings
 from lacli.anatomy.openings.candidate import place
-from lacli.anatomy.openings.rims import RING_WIDTH_MM, label_rings
 from lacli.anatomy.remeshing.projection import Reference
 from lacli.anatomy.remeshing.remesh import keep_volume, remesh_on
 from lacli.anatomy.wall.offset import Offset, offset_surface

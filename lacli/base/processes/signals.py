@@ -9,7 +9,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from types import FrameType, TracebackType
 from typing import Any, NoReturn
 
@@ -37,25 +37,34 @@ class _State:
     received: int | None = None
     raised: bool = False
     settled: bool = False
+    mute: bool = False
+    leaving = threading.Lock()  # held by whoever says why, for good
 
 
-def catch() -> None:
-    """From here on, in the main thread, signals of CAUGHT raise Stopped; those ignored so far (nohup) stay ignored.
+def catch(numbers: Sequence[signal.Signals] = CAUGHT, mute: bool = False) -> None:
+    """From here on, in the main thread, signals raise Stopped; those ignored so far (nohup) stay ignored.
 
     A Stopped that is lost where Python only prints exceptions (``__del__``, weak references, callbacks from C) is raised
     again; what else fails on the way out, there or in threads, is a consequence and not told. Where none can be raised,
-    because a library does not come back, the process ends all the same, after 2 s.
+    because a library does not come back, the process ends all the same, after 2 s. mute: nothing is said of it, the process
+    ends by the signal itself (by SIGKILL where it is deaf): for processes of ours, which we tell of.
     """
-    _State.received, _State.raised, _State.settled = None, False, False
+    sys.unraisablehook, sys.excepthook, threading.excepthook = _unraisable, _uncaught, _in_thread
+    _State.received, _State.raised, _State.settled, _State.mute = None, False, False, mute
+    _State.leaving = threading.Lock()
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
     signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
     threading.Thread(target=_watch, args=(reader,), name="signals", daemon=True).start()
-    for number in CAUGHT:
+    signal.signal(signal.SIGALRM, _on_alarm)
+    for number in numbers:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, _on_signal)
-    signal.signal(signal.SIGALRM, _on_alarm)
-    sys.unraisablehook, sys.excepthook, threading.excepthook = _unraisable, _uncaught, _in_thread
+
+
+def stopping() -> bool:
+    """Whether a signal has come: what fails from then on is its consequence, and not told."""
+    return _State.received is not None
 
 
 def settle() -> None:
@@ -86,6 +95,8 @@ def held() -> Iterator[None]:
 
 
 def _on_signal(number: int, frame: FrameType | None) -> None:
+    if _State.leaving.locked():
+        return
     if _State.received is None:
         _State.received = number
         if (logging := sys.modules.get("logging")) is not None:
@@ -96,7 +107,7 @@ def _on_signal(number: int, frame: FrameType | None) -> None:
 
 
 def _on_alarm(number: int, frame: FrameType | None) -> None:
-    if _State.received is not None and not _State.settled:
+    if _State.received is not None and not _State.settled and not _State.leaving.locked():
         _raise(frame)
 
 
@@ -153,10 +164,27 @@ def _watch(reader: int) -> None:
 
 
 def _leave(number: int) -> NoReturn:
-    """Say why, and exit without the interpreter's own ways of ending, which wait for threads."""
+    """Say why, once, and exit without the interpreter's own ways of ending, which wait for threads."""
+    if not _State.leaving.acquire(blocking=False):
+        time.sleep(_DEAF_S)  # the other thread says it and ends us both
+        os._exit(128 + number)
+    if _State.mute:
+        _end_by(number)
     with contextlib.suppress(OSError, ValueError, RuntimeError):
         sys.stdout.flush()
     with contextlib.suppress(OSError):  # the terminal may be gone
         cursor = b"\x1b[?25h" if os.isatty(2) else b""  # a live display hides it
         os.write(2, cursor + f"lacli: {_WORDS[signal.Signals(number)]}. {_KEPT}\n".encode())
+    os._exit(128 + number)
+
+
+def _end_by(number: int) -> NoReturn:
+    """End as whoever sent the signal expects."""
+    try:
+        signal.signal(number, signal.SIG_DFL)
+    except ValueError:  # not the main thread
+        number = signal.SIGKILL
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, [number])
+    os.kill(os.getpid(), number)
+    time.sleep(_DEAF_S)
     os._exit(128 + number)

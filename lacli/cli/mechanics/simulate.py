@@ -206,7 +206,7 @@ def _label(name: str) -> tuple[str, str]:
 
 def _show_plan(scene: Scene, root: Path, as_json: bool) -> None:
     from lacli.contracts import bundle as bundles
-    from lacli.mechanics import cost
+    from lacli.mechanics.numerics import cost
     from lacli.mechanics.plan import describe
 
     bundle = bundles.load(scene.anatomy.bundle)

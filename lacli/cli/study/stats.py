@@ -39,7 +39,7 @@ def command(
     Example: lacli stats regions.csv --response d_mm --predictor thickness_mm --predictor alpha
     """
     from lacli.base.files import check_folder
-    from lacli.cohort import journal
+    from lacli.cohort.analysis import journal
 
     check_folder(folder)
     found = study.stats(

@@ -9,14 +9,15 @@ from scipy.stats import rankdata
 
 from lacli.base.arrays import BoolArray, FloatArray
 from lacli.base.errors import TableError
+from lacli.contracts.tables.absent import CODES, apart, codes
 
 # beyond these, squares overflow or vanish
 _LARGEST, _SMALLEST = 1e100, 1e-100
 # distance from the median in interquartile ranges: of 100,000 draws of a normal distribution the farthest is at 3.3, of 1/u
 # with u uniform (no variance) it is at some 4e4 in the mean of the worst, 40 at 100 runs
 _APART, _FAR = 50.0, 1e4
-# what programs write where they have no value; nearer than this it may be one
-_FILL, _FILL_APART = (-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0, 999999.0, -999999.0), 5.0
+# a missing-value code nearer than this may be a value
+_CODE_APART = 5.0
 # share of an input's variance that the others leave open
 _DEPENDENT, _NEARLY = 1e-6, 1e-2
 _FEWEST_RANKED = 10
@@ -54,17 +55,18 @@ def stray_outputs(names: Sequence[str], y: FloatArray, rows: Sequence[int], note
         return stray
     far = distances(y)
     for j, name in enumerate(names):
-        out = (far[:, j] > _FAR) | (np.isin(y[:, j], _FILL) & (far[:, j] > _APART))
+        # a third of the runs without a value makes the interquartile range itself that of the codes
+        out = (far[:, j] > _FAR) | codes(y[:, j]) | apart(y[:, j])
         if out.any():
             i = int(np.flatnonzero(out)[0])
             notes.append(
-                f"output {name} is {y[i, j]:.6g} in row {rows[i] + 1} ({int(out.sum())} such), {far[i, j]:.1g} interquartile"
-                " ranges from the median: no value but a mark of failure, so the run is counted as failed."
+                f"output {name} is {y[i, j]:.6g} in row {rows[i] + 1} ({int(out.sum())} such), far from all others: no value"
+                " but a mark of failure, so the run is counted as failed."
             )
             stray |= out
-        apart = ((far[:, j] > _APART) | (np.isin(y[:, j], _FILL) & (far[:, j] > _FILL_APART))) & ~out
-        if apart.any():
-            i = int(np.argmax(np.where(apart, far[:, j], 0.0)))
+        away = ((far[:, j] > _APART) | (np.isin(y[:, j], CODES) & (far[:, j] > _CODE_APART))) & ~out
+        if away.any():
+            i = int(np.argmax(np.where(away, far[:, j], 0.0)))
             notes.append(
                 f"output {name} is {y[i, j]:.6g} in row {rows[i] + 1}, {far[i, j]:.3g} interquartile ranges from the median:"
                 " it is used; remove the run if this is no result."

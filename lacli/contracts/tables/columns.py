@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 import pandas as pd
 
 from lacli.base.arrays import BoolArray, FloatArray
 from lacli.base.errors import TableError
+from lacli.base.notes import note
 from lacli.contracts.failures import MACHINE, SCENE
+from lacli.contracts.tables.absent import check_column
 
 STATUS = "status"
 ERROR_SUFFIX = "_discretisation_error"
@@ -150,8 +152,11 @@ def _holds_bool(column: pd.Series) -> bool:
     return any(isinstance(v, (bool, np.bool_)) or (isinstance(v, str) and v.strip().lower() in ("true", "false")) for v in column)
 
 
-def input_values(frame: pd.DataFrame, where: str) -> FloatArray:
-    """The inputs of runs as numbers (n, d). Raises TableError that names the cell that holds no finite one."""
+def input_values(frame: pd.DataFrame, where: str, tell: Callable[[str], None] = note) -> FloatArray:
+    """The inputs of runs as numbers (n, d); ``tell``: what is doubtful of them, a sentence.
+
+    Raises TableError that names the cell that holds no finite number, a missing-value code, or what its quantity cannot be.
+    """
     x = numbers(frame, f"{where}: inputs").to_numpy(float)
     bad = np.argwhere(~np.isfinite(x))
     if len(bad):
@@ -160,4 +165,6 @@ def input_values(frame: pd.DataFrame, where: str) -> FloatArray:
             f"{where}: input {frame.columns[column]} has no finite value in row {row + 1}"
             f" ({len(bad)} such cells). Fill it in or remove the run."
         )
+    for j, name in enumerate(frame.columns):
+        check_column(str(name), x[:, j], f"{where}: input", "Correct it or remove the run.", tell)
     return x

@@ -12,6 +12,7 @@ import pandas as pd
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import TableError, UsageError
 from lacli.contracts.tables import checks
+from lacli.contracts.tables.absent import check_column
 from lacli.contracts.tables.columns import (
     ERROR_SUFFIX,
     STATUS,
@@ -105,7 +106,7 @@ def combine(
             done &= states[0]
             failed |= states[1]
     x_frame = inputs[_inputs(inputs, input_names, set(outputs.columns), where, notes)]
-    x = input_values(x_frame, where)
+    x = input_values(x_frame, where, notes.append)
     names = _outputs(outputs, output_names, list(x_frame.columns), where, notes)
     y_frame = numbers(outputs[names], f"{where}: outputs")
     shared = [name for name in y_frame.columns if name in x_frame.columns]
@@ -227,6 +228,7 @@ def _errors(frame: pd.DataFrame, names: Sequence[str], where: str, notes: list[s
         values = numbers(frame[[name]], f"{where}: errors")[name].to_numpy(float)
         known = np.isfinite(values)
         checks.check_sizes([name], values[:, None], f"{where}: error")
+        check_column(name, values, f"{where}: error", "Correct it, or leave the cell empty.", notes.append)
         found[:, names.index(output)] = np.where(known, np.abs(values), 0.0)
         missing = "" if known.all() else f"; {int((~known).sum())} run(s) tell none, which counts as 0"
         if not name.endswith(ERROR_SUFFIX) or missing:

@@ -23,7 +23,7 @@ from lacli.base.arrays import BoolArray, FloatArray
 from lacli.base.errors import LacliError
 from lacli.base.threads import single_threaded
 from lacli.inference.box import Box
-from lacli.inference.emulation.polynomial import Polynomial, fit_polynomial
+from lacli.inference.polynomial import Polynomial, fit_polynomial
 
 Level = Callable[[FloatArray], FloatArray]
 Below = Callable[[FloatArray, float], BoolArray]

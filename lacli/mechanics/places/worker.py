@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import functools
 import logging
-import os
 import signal
 import sys
 import threading
@@ -19,7 +18,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from lacli.base.errors import MachineError
-from lacli.base.processes.signals import CAUGHT
+from lacli.base.processes import signals
 from lacli.contracts.failures import of_the_machine
 from lacli.mechanics.places.trials import portable
 
@@ -79,10 +78,9 @@ def main() -> None:
     """See the module."""
     try:
         _serve()
-    except KeyboardInterrupt:
-        # it has cleaned up: now it ends as whoever sent the signal expects, so that lacli can tell of it
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
-        os.kill(os.getpid(), signal.SIGINT)
+    finally:
+        # after Ctrl-C it has cleaned up: now it ends as whoever sent the signal expects, so that lacli can tell of it
+        signals.settle()
 
 
 def _serve() -> None:
@@ -93,8 +91,8 @@ def _serve() -> None:
         sys.path[:] = wire.pipe.recv()
         do = wire.pipe.recv() or run_scene_of_lacli()
         # Ctrl-C comes from lacli alone, by name, and waits until here
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, CAUGHT)
+        signals.catch([signal.SIGINT], mute=True)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, signals.CAUGHT)
         wire.send("ready", None, None)
         while True:
             index, scene, root = wire.pipe.recv()

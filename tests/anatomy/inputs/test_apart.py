@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lacli.anatomy.inputs import anything, apart, meshfile, surfacefile
+from lacli.anatomy.inputs.meshes import anything, apart, meshfile, surfacefile
 from lacli.base.errors import InputError
 
 

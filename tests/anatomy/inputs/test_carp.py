@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from lacli.anatomy.inputs import carp
+from lacli.anatomy.inputs.meshes import carp
 from lacli.base.errors import InputError
 
 lengths = st.floats(-200, 200, allow_nan=False)

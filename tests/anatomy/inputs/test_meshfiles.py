@@ -13,7 +13,7 @@ import pytest
 import pyvista as pv
 from shapes import cut_ball
 
-from lacli.anatomy.inputs import carp, meshfile
+from lacli.anatomy.inputs.meshes import carp, meshfile
 from lacli.anatomy.wall.shell import mesh_shell
 from lacli.base.errors import AnatomyError, InputError, UsageError
 from lacli.contracts import bundle as contract

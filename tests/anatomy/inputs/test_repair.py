@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from shapes import icosphere
 
-from lacli.anatomy.inputs import repair, surfacefile, voxels
+from lacli.anatomy.inputs import repair, voxels
+from lacli.anatomy.inputs.meshes import surfacefile
 from lacli.base.errors import AnatomyError, InputError
 
 EXACT_ML = 4 / 3 * np.pi * 20**3 / 1000

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lacli.anatomy.inputs import anything, solid
+from lacli.anatomy.inputs.meshes import anything, solid
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import AnatomyError
 from lacli.geometry import curves as paths

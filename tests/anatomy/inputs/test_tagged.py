@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lacli.anatomy.inputs.tagged import read_mesh, read_tagged
+from lacli.anatomy.inputs.meshes.tagged import read_mesh, read_tagged
 from lacli.base.errors import AnatomyError
 from lacli.contracts.bundle import check
 from lacli.contracts.labels import ENDO, OPENINGS, PLANES, RINGS

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lacli.anatomy.cuts import closed_cut
 from lacli.anatomy.inputs import extraction
 from lacli.anatomy.inputs.image import Image
-from lacli.anatomy.openings import closed_cut
 from lacli.anatomy.openings.landmarks import Opening
 from lacli.base.errors import AnatomyError
 from lacli.geometry import curves as paths

@@ -13,11 +13,11 @@ from shapes import cut_ball
 from lacli.anatomy.wall.shell import mesh_shell
 from lacli.base.errors import TableError
 from lacli.contracts import bundle as bundles
-from lacli.contracts import records
 from lacli.contracts.features import FEATURES
 from lacli.contracts.identity import identify
-from lacli.contracts.records import Field
 from lacli.contracts.scene import build_scene
+from lacli.contracts.tables import records
+from lacli.contracts.tables.records import Field
 from lacli.contracts.targets import read_targets
 from lacli.inference.runs import Outcome, RunLog
 from lacli.mechanics.simulation import run_scene

@@ -18,7 +18,7 @@ from scipy import stats
 from scipy.optimize import minimize
 
 from lacli.base.arrays import FloatArray
-from lacli.cohort.observations import Observations
+from lacli.cohort.analysis.observations import Observations
 
 DRAWS = 50
 _NO_SPREAD = 1e-6

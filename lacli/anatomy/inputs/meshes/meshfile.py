@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from lacli.anatomy.inputs import apart, carp
+from lacli.anatomy.inputs.meshes import apart, carp
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import AnatomyError, InputError, UsageError
 from lacli.base.quiet import quiet

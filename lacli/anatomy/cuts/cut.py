@@ -9,7 +9,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from lacli.anatomy.coordinates.frame import unit
-from lacli.anatomy.openings.caps import rim_loops, triangulate_loop
+from lacli.anatomy.cuts.caps import rim_loops, triangulate_loop
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import AnatomyError
 from lacli.geometry import isolines as isoline

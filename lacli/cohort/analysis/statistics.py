@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from lacli.base.errors import InputError, UsageError
-from lacli.cohort.errors_in_variables import structural_slope
-from lacli.cohort.mixed import DRAWS, MixedFit, known_error, normal_draws, published, rubin
-from lacli.cohort.observations import Observations
-from lacli.cohort.paired import PairedTest, paired_tests
+from lacli.cohort.analysis.errors_in_variables import structural_slope
+from lacli.cohort.analysis.mixed import DRAWS, MixedFit, known_error, normal_draws, published, rubin
+from lacli.cohort.analysis.observations import Observations
+from lacli.cohort.analysis.paired import PairedTest, paired_tests
 from lacli.contracts.features import KEYS, parse
 
 _STIFFNESS = ("alpha", "c", "stiffness")

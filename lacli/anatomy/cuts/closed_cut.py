@@ -10,9 +10,9 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from lacli.anatomy.openings import clipping
+from lacli.anatomy.cuts import clipping
+from lacli.anatomy.cuts.closing import CAP, close
 from lacli.anatomy.openings.candidate import place
-from lacli.anatomy.openings.closing import CAP, close
 from lacli.anatomy.openings.landmarks import Opening
 from lacli.anatomy.openings.ostium import across
 from lacli.base.arrays import BoolArray, FloatArray

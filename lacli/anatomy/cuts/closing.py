@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from lacli.anatomy.openings import clipping
+from lacli.anatomy.cuts import clipping
+from lacli.anatomy.cuts.caps import triangulate_loop
 from lacli.anatomy.openings.candidate import area_vector
-from lacli.anatomy.openings.caps import triangulate_loop
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import AnatomyError
 from lacli.geometry.surface import nearest, unique_edges

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lacli.anatomy.inputs import apart, carp, solid, surfacefile
+from lacli.anatomy.inputs.meshes import apart, carp, solid, surfacefile
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import InputError
 

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from lacli.base.errors import InputError
-from lacli.contracts.scene import Anatomy, Scene
-from lacli.mechanics.accuracy import numerics_name, record
+from lacli.contracts.scene import Scene
+from lacli.contracts.sections import Anatomy
+from lacli.mechanics.numerics.accuracy import numerics_name, record
 from lacli.mechanics.simulation import OnProgress, run_scene
 
 FEATURES = ("esv_ml", "d_global_mm", "d_anterior_mm", "d_posterior_mm", "d_septum_mm", "d_lateral_mm", "d_roof_mm")

@@ -10,8 +10,8 @@ import numpy as np
 
 from lacli.anatomy.coordinates.describe import describe
 from lacli.anatomy.coordinates.frame import frame_from_openings, height, sectors, sweep, two_layer_fibres, unit
-from lacli.anatomy.openings import closing
-from lacli.anatomy.openings.caps import Plate, extrude_plate, rim_loops, triangulate_loop
+from lacli.anatomy.cuts import closing
+from lacli.anatomy.cuts.caps import Plate, extrude_plate, rim_loops, triangulate_loop
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.documents import read_json
 from lacli.base.errors import AnatomyError

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lacli.anatomy.inputs import apart
+from lacli.anatomy.inputs.meshes import apart
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import AnatomyError, InputError
 

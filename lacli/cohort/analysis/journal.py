@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from lacli.base.files import replacing, write_json, write_text
-from lacli.cohort.statistics import Statistics
+from lacli.cohort.analysis.statistics import Statistics
 
 FILES = ("pairs.csv", "models.csv", "statistics.json", "tables.md", "tables.tex")
 _PLAIN = "MixedLM"

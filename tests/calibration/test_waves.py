@@ -108,7 +108,7 @@ SCRIPT = """
 import sys, time
 from pathlib import Path
 sys.path.insert(0, {root!r})
-from tests.inference import test_calibration as t
+from tests.calibration import test_waves as t
 class Slow(t.Simulator):
     def __call__(self, inputs):
         for item in super().__call__(inputs):

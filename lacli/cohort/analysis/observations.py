@@ -13,6 +13,8 @@ import pandas as pd
 from lacli.base.arrays import FloatArray
 from lacli.base.documents import brief
 from lacli.base.errors import TableError, UsageError
+from lacli.base.notes import note
+from lacli.contracts.tables.absent import check_column
 from lacli.contracts.tables.file import read_frame
 
 MOST_DRAWS = 5_000_000
@@ -84,6 +86,7 @@ def column(frame: pd.DataFrame, name: str, path: Path) -> FloatArray:
         cell = cell.item() if hasattr(cell, "item") else cell
         what = "is empty" if pd.isna(cell) else f"holds {brief(cell)}, which is not a finite number"
         raise TableError(f"{path}: {name}, row {row + 1} {what}. Fill it in, or leave the patient out.")
+    check_column(name, values, f"{path}:", "Fill it in, or leave the patient out.", note)
     return values
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import stats
 
 from lacli.base.arrays import FloatArray
-from lacli.cohort.observations import Observations
+from lacli.cohort.analysis.observations import Observations
 
 _FEWEST_FOR_SHAPIRO = 3
 

@@ -1,7 +1,7 @@
 """Mesh files of others, read in a process of its own with limits: what a library crashes or chokes on is one message.
 
-``content(path, "surface")`` starts ``python -m lacli.anatomy.inputs.apart surface FILE OUT``, which reads the file with VTK or
-meshio and leaves plain arrays; a damaged file may end that process, or ask for more memory than it gets, and no more.
+``content(path, "surface")`` starts ``python -m lacli.anatomy.inputs.meshes.apart surface FILE OUT``, which reads the file with
+VTK or meshio and leaves plain arrays; a damaged file may end that process, or ask for more memory than it gets, and no more.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lacli.anatomy.openings import closed_cut
+from lacli.anatomy.cuts import closed_cut
 from lacli.anatomy.openings.landmarks import Opening
 from lacli.contracts.labels import PLANES
 from lacli.geometry import isolines as isoline
