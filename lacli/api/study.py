@@ -60,13 +60,14 @@ def compare(
     from lacli.api.progress import Stage
     from lacli.base.threads import one_thread
     from lacli.cohort import comparison
-    from lacli.cohort.patient import read_model
+    from lacli.cohort.patient import held_against, read_model
     from lacli.contracts.targets import read_targets
 
     if particles < 100:
         raise UsageError(f"compare: {particles} particles; at least 100.")
     wanted = read_targets(targets)
     regional = read_model(patient, wanted)
+    held = held_against(patient, wanted)
     models = [
         regional,
         comparison.Model(comparison.GLOBAL, regional.emulators, regional.box, comparison.tied_regions(regional.box.names)),
@@ -83,7 +84,7 @@ def compare(
             raise UsageError(f"compare: {model.name} was calibrated to other features than {patient}.")
     with one_thread():
         stage = Stage("comparison", 4 * len(models), progress, cancel).begin()
-        return comparison.compare(models, wanted, particles, seed, stage.step)
+        return comparison.compare(models, held, particles, seed, stage.step)
 
 
 def stats(

@@ -348,7 +348,7 @@ def _fit(emulators: AnyEmulators, targets: Targets, x: FloatArray, simulated: Fl
     rows: list[dict[str, float | str]] = []
     for j, name in enumerate(targets.names):
         row: dict[str, float | str] = {
-            "feature": name, "target": float(targets.mean[j]), "sd": float(targets.sd[j]),
+            "feature": name, "target": float(targets.mean[j]), "sd": float(targets.sd[j]), "own_sd": float(targets.own_sd[j]),
             "emulated": float(mean[0, j]), "emulator_sd": float(np.sqrt(variance[0, j])),
         }  # fmt: skip
         if simulated is not None:

@@ -14,6 +14,7 @@ from lacli.cohort.comparison import REGIONAL, Model
 from lacli.contracts.targets import Targets
 from lacli.inference.box import make_box
 from lacli.inference.emulation.emulator_set import load_emulators
+from lacli.mechanics.numerics.error_model import correlation
 
 RESULT, IDENTITY = "result.json", "calibration.json"
 
@@ -27,6 +28,19 @@ def read_result(folder: Path) -> Mapping[str, Any]:
     return result
 
 
+def held_against(folder: Path, targets: Targets) -> Targets:
+    """The targets as that calibration was held against them: with the discretisation errors that it added. Raises InputError."""
+    errors = {
+        str(row["feature"]): float(np.sqrt(max(row["sd"] ** 2 - _own_sd(row) ** 2, 0.0))) for row in read_result(folder)["fit"]
+    }
+    return targets.widened(errors, correlation(targets.names)) if any(errors.values()) else targets
+
+
+def _own_sd(row: Mapping[str, Any]) -> float:
+    """The measurement's own sd; of calibrations that added nothing, sd."""
+    return float(row.get("own_sd", row["sd"]))
+
+
 def read_model(folder: Path, targets: Targets, name: str = REGIONAL) -> Model:
     """The emulators and the box of a calibration to these targets: of the last wave, or of all runs of a sequential one.
 
@@ -38,9 +52,10 @@ def read_model(folder: Path, targets: Targets, name: str = REGIONAL) -> Model:
         if feature not in targets.names:
             raise UsageError(f"{folder}: was calibrated to {feature}, which the targets given lack; give those it was made to.")
         j = targets.names.index(feature)
-        if not np.allclose([row["target"], row["sd"]], [targets.mean[j], targets.sd[j]], rtol=1e-9, atol=0):
+        own = _own_sd(row)
+        if not np.allclose([row["target"], own], [targets.mean[j], targets.sd[j]], rtol=1e-9, atol=0):
             raise UsageError(
-                f"{folder}: was calibrated to {feature} {row['target']:g} ± {row['sd']:g}, the targets given say"
+                f"{folder}: was calibrated to {feature} {row['target']:g} ± {own:g}, the targets given say"
                 f" {targets.mean[j]:g} ± {targets.sd[j]:g}; give those it was made to."
             )
     features = [str(row["feature"]) for row in result["fit"]]

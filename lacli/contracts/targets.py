@@ -29,13 +29,20 @@ _NOTHING, _LARGEST = 1e-100, 1e100
 @dataclass(frozen=True)
 class Targets:
     """Targets of features by name: names (p,), mean (p,) and sd (p,) in the features' own units; covariance (p, p) of the errors,
-    None: independent; priors of the simulator's inputs, None: uniform."""
+    None: independent; priors of the simulator's inputs, None: uniform; added (p,): what of sd is not the measurement's, None:
+    nothing (``widened``)."""
 
     names: tuple[str, ...]
     mean: FloatArray
     sd: FloatArray
     covariance: FloatArray | None = None
     priors: tuple[Prior, ...] | None = None
+    added: FloatArray | None = None
+
+    @property
+    def own_sd(self) -> FloatArray:
+        """(p,) standard deviations of the measurement alone."""
+        return self.sd if self.added is None else np.sqrt(np.maximum(self.sd**2 - self.added**2, 0.0))
 
     def select(self, names: Sequence[str]) -> Targets:
         """The targets in the order of ``names``; TableError if one is missing."""
@@ -44,7 +51,8 @@ class Targets:
             raise TableError(f"targets: no value for {', '.join(missing)}; there are {', '.join(self.names)}.")
         j = [self.names.index(name) for name in names]
         covariance = None if self.covariance is None else self.covariance[np.ix_(j, j)]
-        return Targets(tuple(names), self.mean[j], self.sd[j], covariance, self.priors)
+        added = None if self.added is None else self.added[j]
+        return Targets(tuple(names), self.mean[j], self.sd[j], covariance, self.priors, added)
 
     def widened(self, errors: Mapping[str, float], correlation: FloatArray | None = None) -> Targets:
         """The targets with errors (sd, in the features' units) of what is held against them added to their own.
@@ -52,12 +60,13 @@ class Targets:
         correlation (p, p): that of the errors added; None: they are independent.
         """
         more = np.array([errors.get(name, 0.0) for name in self.names])
+        before = 0.0 if self.added is None else self.added
         added = np.diag(more**2) if correlation is None else np.outer(more, more) * correlation
         sd = np.sqrt(self.sd**2 + more**2)
         if self.covariance is None and np.array_equal(added, np.diag(np.diag(added))):
-            return Targets(self.names, self.mean, sd, None, self.priors)
+            return Targets(self.names, self.mean, sd, None, self.priors, np.hypot(before, more))
         own = np.diag(self.sd**2) if self.covariance is None else self.covariance
-        return Targets(self.names, self.mean, sd, own + added, self.priors)
+        return Targets(self.names, self.mean, sd, own + added, self.priors, np.hypot(before, more))
 
 
 def read_targets(path: Path) -> Targets:

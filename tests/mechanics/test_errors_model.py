@@ -123,6 +123,10 @@ def test_errors_of_one_feature_at_several_times_go_together() -> None:
     wide = targets.widened({"d_roof_mm@0.1": 0.2, "d_roof_mm@0.2": 0.4}, correlation(names[:3]))
     assert wide.covariance is not None
     assert wide.covariance[0] == pytest.approx([0.05, rho * 0.08, 0.0])  # .01 + .04, rho x .2 x .4
+    assert wide.own_sd == pytest.approx([0.1, 0.1, 0.1]) and wide.added == pytest.approx([0.2, 0.4, 0.0])
+    assert wide.select(names[1:2]).own_sd == pytest.approx([0.1])
+    again = wide.widened({"d_roof_mm@0.1": 0.3})
+    assert again.own_sd == pytest.approx([0.1, 0.1, 0.1]) and again.sd[0] == pytest.approx(np.sqrt(0.01 + 0.04 + 0.09))
 
 
 def test_the_model_s_file_is_what_the_benchmark_writes() -> None:

@@ -77,10 +77,12 @@ def result_of(
     mean, variance = Features(local, search.scale, targets, targets.names).predict(map_x[None])
     fitted: list[dict[str, float | str]] = [
         {
-            "feature": name, "target": float(t), "sd": float(s), "emulated": float(e), "emulator_sd": float(np.sqrt(v)),
-            "simulated": float(y), "misfit_sd": float((y - t) / s),
+            "feature": name, "target": float(t), "sd": float(s), "own_sd": float(o), "emulated": float(e),
+            "emulator_sd": float(np.sqrt(v)), "simulated": float(y), "misfit_sd": float((y - t) / s),
         }
-        for name, t, s, e, v, y in zip(targets.names, targets.mean, targets.sd, mean[0], variance[0], nearest, strict=True)
+        for name, t, s, o, e, v, y in zip(
+            targets.names, targets.mean, targets.sd, targets.own_sd, mean[0], variance[0], nearest, strict=True
+        )
     ]  # fmt: skip
     lengths = [name.partition("@")[0].endswith("_mm") for name in targets.names]
     rmse = float(np.sqrt(np.mean((nearest - targets.mean)[lengths] ** 2))) if any(lengths) else None

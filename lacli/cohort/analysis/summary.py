@@ -102,7 +102,7 @@ def _regions(patient: Participant, folder: Path) -> list[dict[str, Any]]:
                 if name in posterior:
                     row[part], row[f"{part}_sd"] = posterior[name]["mean"], posterior[name]["sd"]
         target = fit.get(f"d_{region}_mm")
-        row["d_mm"], row["d_mm_sd"] = (target["target"], target["sd"]) if target else (np.nan, np.nan)
+        row["d_mm"], row["d_mm_sd"] = (target["target"], target.get("own_sd", target["sd"])) if target else (np.nan, np.nan)
         row["thickness_mm"], row["fat_ml"] = thickness.get(region, np.nan), fat.get(region, np.nan)
         rows.append(row)
     return rows
