@@ -123,7 +123,7 @@ def test_the_page_of_a_run(run: Path, tmp_path: Path) -> None:
     for words in (
         "134.8",
         "not stable: 2 ways",
-        "(model)",
+        "No discretisation error is known",
         "Wall thickness is not shown",
         "FreeFEM 4.9",
     ):
