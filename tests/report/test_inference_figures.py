@@ -92,7 +92,7 @@ def test_the_corner_holds_the_marginals_on_the_box(tmp_path: Path, drawn: list[F
     axes = drawn[0].axes
     assert len(axes) == 4
     assert axes[2].get_xlim() == pytest.approx((-6.0, 5.0)) and axes[2].get_ylim() == pytest.approx((-5.0, 4.5))
-    assert "ESP (mmHg)" in texts(drawn[0]) and "α roof" in texts(drawn[0])
+    assert "ESP (mmHg)" in texts(drawn[0]).replace("\n", " ") and "α roof" in texts(drawn[0])
 
 
 def test_outputs_by_wave_stand_against_their_targets(tmp_path: Path, drawn: list[Figure]) -> None:

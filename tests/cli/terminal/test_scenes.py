@@ -29,5 +29,5 @@ def test_what_is_possible_but_unusual_is_said_of_scene_and_box(tmp_path: Path, c
 def test_an_unknown_key_is_one_error(tmp_path: Path) -> None:
     file = tmp_path / "scene.toml"
     file.write_text('[anatomy]\nbundle = "la"\n')
-    with pytest.raises(SceneError, match="loads.edp: unknown key"):
+    with pytest.raises(SceneError, match=r"loads\.edp: unknown key"):
         read_scene(file, ["loads.edp=3"])
