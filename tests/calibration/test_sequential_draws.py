@@ -30,7 +30,7 @@ def mode() -> Laplace:
 
 
 def test_the_density_is_the_gaussian_s_and_none_outside_the_box(components: emulator.Components) -> None:
-    at = np.array([CENTRE, CENTRE + [0.05, 0.0], CENTRE + [0.0, -0.1], [1.2, 0.5]])
+    at = np.array([[0.4, 0.6], [0.45, 0.6], [0.4, 0.5], [1.2, 0.5]])  # the centre, two beside it, one outside
     found = draws.log_posterior(components.reduced(), SCALE, at)
     away = (at - CENTRE) @ SLOPE.T
     exact = -0.5 * (away**2).sum(1)
@@ -50,7 +50,7 @@ def test_draws_have_the_posterior_s_mean_and_covariance(components: emulator.Com
 
 def test_the_chain_s_density_is_that_of_the_draws(components: emulator.Components) -> None:
     density = chain.density(components, SCALE)
-    z = np.array([CENTRE, CENTRE + [0.03, 0.02]])
+    z = np.array([[0.4, 0.6], [0.43, 0.62]])
     found = density(SCALE.to_x(z)) if callable(density) else density.log_posterior(SCALE.to_x(z))
     expected = draws.log_posterior(components.reduced(), SCALE, z)
     assert found[1] - found[0] == pytest.approx(expected[1] - expected[0], abs=1e-6)

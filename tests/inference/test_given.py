@@ -51,5 +51,5 @@ def test_a_box_that_reaches_where_a_logarithm_is_not_is_refused(emulators: Emula
     ranges = {"alpha_roof": (0.6, 2.0), "w": (1.0, 5.0)} | {name: (-1.0, 2.0)}
     file = tmp_path / "box.toml"
     file.write_text("[box]\n" + "".join(f"{n} = [{a}, {b}]\n" for n, (a, b) in ranges.items()))
-    with pytest.raises(UsageError, match="logarithm|not possible"):
+    with pytest.raises(UsageError, match=r"logarithm|not possible"):
         box_of(emulators, file)
