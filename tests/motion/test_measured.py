@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lacli.base.errors import UsageError
+from lacli.base.errors import InputError, UsageError
 from lacli.motion.measured import from_images, stated_error
 from lacli.motion.patient import Settings
 
@@ -32,6 +32,6 @@ def test_two_errors_between_0_and_20_mm_or_none(values: list[float]) -> None:
 
 
 def test_frames_that_are_not_there_are_named(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="nowhere"):
+    with pytest.raises(InputError, match=r"nowhere: no such frame"):
         from_images(None, [tmp_path / "nowhere"], None, Settings(), tmp_path / "out", lambda *_: None)  # type: ignore[arg-type]
     assert not (tmp_path / "out").exists()

@@ -20,18 +20,9 @@ def found(filled: bool) -> dict[str, Fat]:
     if filled:
         array[2:4, 2:4, 2:5] = 1
     image = Image(array, np.ones(3), np.zeros(3), np.eye(3))
-    made = {}
-    for number, name in enumerate(WINDOWS):
-        values = {
-            "window_ml": 0.02 + number,
-            "volume_ml": 0.012 * (1 + number),
-            "per_region_ml": {},
-            "region": np.zeros_like(array),
-        }
-        fields = {n: values[n] for n in Fat.__dataclass_fields__ if n in values}
-        rest = {n: image for n in Fat.__dataclass_fields__ if n not in fields}
-        made[name] = Fat(**fields, **rest)
-    return made
+    return {
+        name: Fat(image, np.zeros((6, 6, 6), dtype=np.int64), 0.02, 0.012 * (1 + number)) for number, name in enumerate(WINDOWS)
+    }
 
 
 def test_a_bundle_s_pool_is_its_cavity_looking_outward() -> None:

@@ -37,7 +37,7 @@ def test_a_pushed_point_s_cells_get_better_and_far_ones_stay(seed: int) -> None:
     rng = np.random.default_rng(seed)
     bad = int(rng.integers(len(vector)))
     side = np.cross(BALL.points[bad], rng.normal(size=3))
-    vector[bad] += 3.0 * side / np.linalg.norm(side)
+    vector[bad] += 6.0 * side / np.linalg.norm(side)
     starts, tets = prepared(vector)
     before = quality(vector, tets)
     fair = np.full(len(tets), 0.2)
