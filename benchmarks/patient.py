@@ -7,7 +7,8 @@ Each truth is drawn from the inner part of the box and simulated; its 90 targets
 universal coordinates, area strain and volume, at end-systole and in three frames) get errors of 0.2 mm, 5 % of the
 end-diastolic volume and 0.02 of strain, correlated between frames (.5) and between features of a region's motion (.3), and are
 calibrated against. With --shared a truth starts from the runs of those before it that lie nearest to its targets (those are not
-counted; truth 3005 is a run of truth 3's calibration, the fifth from its end, and not among those). Kept in DIR, and gone on with. Printed: asked beside measured.
+counted; truth 3005 is a run of truth 3's calibration, the fifth from its end, and not among those). Kept in DIR, and gone on
+with. Printed: asked beside measured.
 """
 
 from __future__ import annotations
