@@ -24,7 +24,13 @@ def frontier_figure(found: Sequence[Effect], inputs: Sequence[str], tolerance_sd
             reference = effect is found[-1]
             good = y <= tolerance_sd
             axis.plot(effect.cpu_s, y, "D" if reference else "o", color="#009E73" if good else "#D55E00", markersize=5)
-            axis.annotate(effect.name + (": reference, 0" if reference else ""), (effect.cpu_s, y), (4, 4), textcoords="offset points", fontsize=7)
+            axis.annotate(
+                effect.name + (": reference, 0" if reference else ""),
+                (effect.cpu_s, y),
+                (4, 4),
+                textcoords="offset points",
+                fontsize=7,
+            )
         axis.axhline(tolerance_sd, color="#666666", linewidth=0.8, linestyle="--")
         axis.set_xscale("log")
         axis.set_yscale("log")
