@@ -22,7 +22,7 @@ from lacli.geometry.surface import Surface
 KEPT_STUB_MM = 12.0  # a vessel whose rim is no farther than that from its ostium ends at the rim, a longer one is cut
 GUESSED = 0.5  # confidence in names that rest on a guess, or on a reading that no atrium of the 23 measured comes near
 HOLE_MM = 6.0  # an unnamed rim narrower than that is a hole, a wider one a further vein
-VESSEL = 1.7  # of its rim's diameter: a vessel that is wider inside is the body
+VESSEL = 1.7  # of its rim's diameter: what is wider inside is the body, what is narrower no section of it
 AT_RIM = 0.8  # a branch that ends within that many diameters of a rim is the rim's vessel
 
 
@@ -177,9 +177,11 @@ def _at_ostium(rim: Candidate, skeleton: Skeleton, cast: ostium.RadiusAt, ring_m
     ends = [(gap, b) for gap, b in ends if gap < AT_RIM * max(rim.diameter_mm, 1.0)]
     if not ends:
         return rim
-    cut = ostium.of_branch("", min(ends, key=lambda one: one[0])[1], 0.0, cast, ring_mm)
+    branch = min(ends, key=lambda one: one[0])[1]
+    cut = ostium.of_branch("", branch, 0.0, cast, ring_mm)
     length = float(np.linalg.norm(cut.centre - rim.centre))
-    if length <= KEPT_STUB_MM or cut.diameter_mm > VESSEL * rim.diameter_mm:
+    wider = cut.diameter_mm / max(rim.diameter_mm, 1e-6)
+    if not (KEPT_STUB_MM < length < branch.length_mm + KEPT_STUB_MM and 1.0 / VESSEL < wider < VESSEL):
         return rim
     half = ostium.across(cut.normal) * cut.diameter_mm / 2
     area = np.pi * cut.diameter_mm**2 / 4
