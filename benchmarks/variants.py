@@ -1,6 +1,6 @@
 """Scores the naming of synthetic atria in all their forms, without meshing: right, doubted, silently wrong.
 
-Run: python benchmarks/variants.py [--first 1] [--seeds 25] [--only WORD]     whole bundles: python benchmarks/atria.py --synthetic N
+Run: python benchmarks/variants.py [--first 1] [--seeds 25] [--only WORD]; whole bundles: atria.py --synthetic N
 
 Right: each opening of the file has its name, within 10 mm of its centre, with the confidence that `lacli mesh` asks for. Each
 atrium is named again with every vein left out in turn: there anything but a refusal is silently wrong.

@@ -11,6 +11,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from lacli.anatomy.remeshing import bends
 from lacli.anatomy.remeshing.collapse import collapse
 from lacli.anatomy.remeshing.projection import Reference, border_edges
 from lacli.anatomy.remeshing.workmesh import BORDER, CORNER, Asked, WorkMesh, project, turned
@@ -82,6 +83,14 @@ def keep_volume(surface: Surface, volume_ml: float) -> Surface:
 
 
 def _size_field(surface: Surface, size: float) -> Asked:
+    """Asked edge length at points: ``size``, less near rims too short for it, and where the wall bends too tightly for it."""
+    rims, bent = _near_rims(surface, size), bends.limits(surface, size)
+    if bent is None:
+        return rims
+    return lambda points: np.minimum(rims(points), bent(points))
+
+
+def _near_rims(surface: Surface, size: float) -> Asked:
     """Asked edge length at points: ``size``, less near rims too short for it."""
     planes = border_edges(surface.triangles, np.where(is_plane(surface.label), surface.label, 0))
     if len(planes) == 0:
