@@ -46,4 +46,5 @@ def test_the_remeshed_tube_is_round_and_not_flat() -> None:
     edges, _ = unique_edges(made.triangles)
     length = np.linalg.norm(made.points[edges[:, 0]] - made.points[edges[:, 1]], axis=1)
     assert length.max() < 6.0
-    assert made.volume_ml() > 0.75 * surface.volume_ml()
+    # four sides round the tube or more: a square's area is 2/pi of its circle's
+    assert made.volume_ml() > 2.0 / np.pi * surface.volume_ml()
