@@ -77,7 +77,7 @@ def find(field: Image, least_length_mm: float = 5.0) -> Skeleton:
     depth = ndimage.distance_transform_edt(inside) * field.spacing[0]
     middle = np.array(np.unravel_index(int(np.argmax(ndimage.gaussian_filter(depth, 2.0))), inside.shape))
     walked = _walking_distance(inside, middle, float(field.spacing[0]))
-    branches = _branches(field, walked, least_length_mm)
+    branches = _branches(field, walked, least_length_mm, float(depth[tuple(middle)]))
     return Skeleton(field.to_world(middle[None, ::-1])[0], float(depth.max()), tuple(branches))
 
 
@@ -115,7 +115,7 @@ class _Track:
     alive: bool = True
 
 
-def _branches(field: Image, walked: FloatArray, least_length: float) -> list[Branch]:
+def _branches(field: Image, walked: FloatArray, least_length: float, body: float) -> list[Branch]:
     farthest = float(np.nanmax(walked))
     filled = np.nan_to_num(walked, nan=-1.0)
     flat = np.flatnonzero(filled.ravel() >= 0)
@@ -153,7 +153,7 @@ def _branches(field: Image, walked: FloatArray, least_length: float) -> list[Bra
                 tracks[chosen].areas.append(float(voxels[k - 1]) * cell / STEP_MM)
                 tracks[chosen].centres.append(centres[k - 1])
         done = end
-    found = [branch for track in tracks if (branch := _finish(field, track)) is not None]
+    found = [branch for track in tracks if (branch := _finish(field, track, body)) is not None]
     return sorted((b for b in found if b.length_mm >= least_length), key=lambda b: -b.length_mm)
 
 
@@ -168,14 +168,15 @@ def _continue(tracks: list[_Track], inside: list[int], least_length: float) -> i
     return max(inside, key=lambda t: len(tracks[t].levels))
 
 
-def _finish(field: Image, track: _Track) -> Branch | None:
+def _finish(field: Image, track: _Track, body: float) -> Branch | None:
+    """The branch of a track; its ostium is not within the ball of radius ``body`` (mm) that the pool's middle is in."""
     if len(track.levels) < 4:
         return None
     distance = np.array(track.levels[::-1])
     area = ndimage.uniform_filter1d(np.array(track.areas[::-1]), 3, mode="nearest")
     centre = field.to_world(np.array(track.centres[::-1])[:, ::-1])
     centre = ndimage.uniform_filter1d(centre, 3, axis=0, mode="nearest")
-    for k in range(len(area) - 2):
+    for k in range(int(np.searchsorted(distance, body)), len(area) - 2):
         near = area[k : max(k + 1, min(k + int(NECK_WINDOW_MM / STEP_MM), len(area) - 3))]
         far = area[k : max(k + 1, min(k + int(BODY_WINDOW_MM / STEP_MM), len(area) - int(TIP_MM / STEP_MM)))]
         if area[k] <= NECK_FACTOR * near.min() and area[k] <= BODY_FACTOR * far.min():

@@ -1,68 +1,51 @@
-"""A closed valve: the veins' names follow from all the places where it may be; its own place is asked for."""
+"""Where a closed valve may be: on the body, apart, clear of the vessels; and names that hold wherever it is."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-import pyvista as pv
+from shapes import icosphere
 
-from lacli.anatomy.openings import closed_valve, naming
-from lacli.anatomy.openings.candidate import GUESS, RIM, Candidate, of_ring
-from lacli.geometry.surface import Surface
+from lacli.anatomy.openings.candidate import GUESS, RIM, Candidate
+from lacli.anatomy.openings.closed_valve import APART_MM, CLEAR_MM, PLACES, VALVE_MM, name, places
+from lacli.anatomy.openings.landmarks import LPS
 
-# veins and appendage of a plain atrium, LPS mm: centre, diameter, direction; the valve would be at (10, -12, -28)
-PLACES = {
-    "rspv": ((-30.0, 6.0, 20.0), 14.0, (-0.85, -0.2, 0.5)),
-    "ripv": ((-30.0, 14.0, -6.0), 13.0, (-0.85, 0.5, -0.15)),
-    "lspv": ((28.0, 8.0, 20.0), 13.0, (0.7, 0.1, 0.7)),
-    "lipv": ((28.0, 16.0, -4.0), 12.0, (0.8, 0.6, 0.0)),
-    "appendage": ((30.0, -8.0, 8.0), 15.0, (0.7, -0.65, 0.3)),
-}
+BALL = icosphere(25.0, 3)
 
 
-def vessel(centre: tuple[float, ...], diameter: float, way: tuple[float, ...]) -> Candidate:
-    out = np.array(way) / np.linalg.norm(way)
-    e = np.cross(out, [0.3, 0.1, 0.95])
-    e /= np.linalg.norm(e)
-    angle = np.linspace(0, 2 * np.pi, 40, endpoint=False)[:, None]
-    return of_ring(np.array(centre) + diameter / 2 * (np.cos(angle) * e + np.sin(angle) * np.cross(out, e)), out, RIM)
+def vein(centre: tuple[float, float, float]) -> Candidate:
+    at = np.array(centre)
+    return Candidate(at, at / np.linalg.norm(at), 150.0, RIM, np.array([0.0, 0, 7]))
 
 
-def body() -> Surface:
-    ball = pv.ParametricEllipsoid(32.0, 26.0, 32.0).triangulate().clean()
-    return Surface(np.asarray(ball.points, dtype=float), ball.regular_faces, np.zeros(ball.n_cells, dtype=np.int64))
+# LPS: left +x, back +y, up +z
+VEINS = [vein((18, 14, 10)), vein((18, 14, -10)), vein((-18, 14, 10)), vein((-18, 14, -10))]
 
 
-def guess(at: tuple[float, float, float]) -> Candidate:
-    out = np.array(at) / np.linalg.norm(at)
-    return replace(vessel(at, 22.0, tuple(out)), source=GUESS)
+def test_places_lie_on_the_body_apart_and_clear_of_the_vessels() -> None:
+    found = places(BALL, VEINS)
+    centre = np.array([c.centre for c in found])
+    assert 5 < len(found) <= PLACES
+    assert np.linalg.norm(centre, axis=1) == pytest.approx(25.0)
+    gaps = np.linalg.norm(centre[:, None] - centre[None], axis=2)[~np.eye(len(found), dtype=bool)]
+    assert gaps.min() >= APART_MM
+    for v in VEINS:
+        assert np.linalg.norm(centre - v.centre, axis=1).min() > CLEAR_MM
+    for c in found:
+        assert c.source == GUESS and c.said == "mv" and c.diameter_mm == pytest.approx(VALVE_MM)
+        assert c.direction @ (c.centre / 25.0) > 0.95  # out of the ball
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_veins_are_named_whatever_the_first_guess_of_the_valve(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    order = list(rng.permutation(list(PLACES)))
-    vessels = [vessel(*PLACES[n]) for n in order]
-    # a guess that alone would exchange left and right: nearer the right veins
-    found, valve = closed_valve.name(body(), vessels, guess((-22.0, -14.0, -20.0)), None)
+def test_vessels_everywhere_leave_no_place() -> None:
+    assert places(BALL, [vein(tuple(p)) for p in BALL.points[::3]]) == []
+
+
+def test_veins_in_the_image_s_axes_get_their_names_and_a_valve_in_front_below() -> None:
+    flat = Candidate(
+        np.array([10.0, -20, -10]), np.array([0.4, -0.8, -0.4]) / np.sqrt(0.96), 700.0, GUESS, np.array([15.0, 0, 0])
+    )
+    found, valve = name(BALL, VEINS, flat, LPS)
     assert found is not None
-    names = {n: order[i] for n, i in found.best.names.items() if n in naming.VEINS}
-    assert names == {n: n for n in naming.VEINS}
-    assert found.best.names["mv"] == len(vessels) and valve.said == "mv"
-
-
-def test_places_are_apart_and_clear_of_vessels() -> None:
-    vessels = [vessel(*place) for place in PLACES.values()]
-    found = np.array([c.centre for c in closed_valve.places(body(), vessels)])
-    assert 10 <= len(found) <= closed_valve.PLACES
-    gap = np.linalg.norm(found[:, None] - found[None], axis=2) + 1e9 * np.eye(len(found))
-    assert gap.min() >= closed_valve.APART_MM
-    for one in vessels:
-        assert np.linalg.norm(found - one.centre, axis=1).min() > closed_valve.CLEAR_MM
-
-
-def test_no_vessels_no_names() -> None:
-    found, valve = closed_valve.name(body(), [], guess((10.0, -12.0, -28.0)), None)
-    assert found is None and valve.source == GUESS
+    assert {found.best.names[n]: n for n in ("lspv", "lipv", "rspv", "ripv")} == {0: "lspv", 1: "lipv", 2: "rspv", 3: "ripv"}
+    assert not found.best.mirrored and 0.5 < found.confidence <= 1.0
+    assert valve.said == "mv" and valve.centre[1] < 0  # away from the veins
