@@ -7,7 +7,8 @@ Each truth is drawn from the inner part of the box and simulated; its 90 targets
 universal coordinates, area strain and volume, at end-systole and in three frames) get errors of 0.2 mm, 5 % of the
 end-diastolic volume and 0.02 of strain, correlated between frames (.5) and between features of a region's motion (.3), and are
 calibrated against. With --shared a truth starts from the runs of those before it that lie nearest to its targets (those are not
-counted). Kept in DIR, and gone on with. Printed: asked beside measured.
+counted; truth 3005 is a run of truth 3's calibration, the fifth from its end, and not among those). Kept in DIR, and gone on
+with. Printed: asked beside measured.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ from lacli.synthetic.atrium import synthesize
 BETWEEN_FRAMES, BETWEEN_FEATURES = 0.5, 0.3
 SD_MM, SD_VOLUME, SD_STRAIN = 0.2, 0.05, 0.02
 ASKED = {"runs to the MAP": 20, "runs in all": 60, "largest sd of alpha": 0.35, "wall minutes": 5.0}
+_NEAR = 1000  # truth 3005 is a run of truth 3's calibration, the fifth from its end
 _GIVEN = 16  # runs of other truths that one starts from
 _INNER = 0.15  # truths keep so far from the ends of each range (of its logarithm)
 
@@ -143,22 +145,31 @@ def one(
         row: dict[str, Any] = json.loads(kept.read_text())
         return row
     rng = np.random.default_rng(number)
-    truth = draw_truth(box, rng)
+    of_runs = runs_identity(run, box.names, names)
+    base, at = divmod(number, _NEAR)
+    first = base or number
+    truth = draw_truth(box, np.random.default_rng(first) if base else rng)
     asked = (*names, "edv_ml")
-    log = RunLog(folder / "truth.csv", box.names, asked, runs_identity(run, box.names, asked))
+    log = RunLog(out / f"{kind}_{first}" / "truth.csv", box.names, asked, runs_identity(run, box.names, asked))
     log.run(run, truth[None])
     made = log.frame(truth[None]).iloc[0]
     if made["status"] != "done":
         return {"truth": number, "failed": str(made["kind"])}
     y = made[list(names)].to_numpy(float)
     covariance = error_covariance(names, float(made["edv_ml"]))
+    if base:  # a run that an earlier calibration made is the truth
+        around = RunLog(out / f"{kind}_{base}" / "calibration" / "runs.csv", box.names, names, of_runs)
+        told = [x for x, row in around.rows.items() if row["status"] == "done"]
+        truth = np.array(told[-1 - at])
+        y = np.array([float(str(around.rows[told[-1 - at]][name])) for name in names])
     noise = np.linalg.cholesky(covariance) @ rng.standard_normal(len(names))
     targets = Targets(names, y + noise, np.sqrt(np.diag(covariance)), covariance)
     pool = []
     if choice.shared:
-        of_runs = runs_identity(run, box.names, names)
         files = [out / f"{kind}_{k}" / "calibration" / "runs.csv" for k in choice.truths[: choice.truths.index(number)]]
         pool = [RunLog(file, box.names, names, of_runs) for file in files if file.is_file()]
+        for other in pool:
+            other.rows.pop(tuple(truth.tolist()), None)
     settings = Settings(seed=number, max_runs=60 + _GIVEN * bool(pool))
     found, given, minutes = calibrated(run, box, targets, settings, folder / "calibration", pool)
     alpha = {str(r["input"]): float(r["sd"]) for r in found.table if str(r["input"]).startswith("alpha_")}

@@ -119,6 +119,7 @@ def synthesize(
     contrast_drift_hu: float = 0.0,
     heart_rate: float = 65.0,
     parameters: Mapping[str, float] | None = None,
+    arm: str | None = None,
     progress: OnProgress | None = None,
     cancel: Cancel | None = None,
 ) -> tuple[Synthesis, ...]:
@@ -128,7 +129,9 @@ def synthesize(
     over the cycle, descent_mm: how far it descends; image: also labels.nrrd and ct.nrrd of ``voxel_mm``. gated: a patient
     instead, its bundle, a gated CT of a simulated cycle and its truth: noise_hu its noise (sd, HU), blur in voxels (sd),
     motion_blur the exposure as a fraction of the RR interval, contrast_drift_hu the blood's fall over the cycle, heart_rate
-    in beats per minute, parameters known ones by name with unit. A folder that was made from the same is kept.
+    in beats per minute, parameters known ones by name with unit. arm: a cohort for ``lacli cohort`` instead, its targets
+    simulated on a finer mesh at drawn parameters: ``heterogeneous`` (every region its own stiffness), ``control`` (one
+    everywhere), ``thickness`` (one, in a wall of varying thickness). A folder that was made from the same is kept.
     Raises UsageError, AnatomyError (a folder holds something else), StorageError, Cancelled.
     """
     from lacli.base.files import check_folder
@@ -153,6 +156,10 @@ def synthesize(
             parameter_box([name])
             if not value >= 0:
                 raise UsageError(f"--parameter {name}={value:g}: write it as name=number, not negative.")
+    if arm is not None:
+        return _arm(
+            folder, arm, range(seed, seed + cohort), {**wanted, **moved}, image or gated, Stage("", cohort, progress, cancel)
+        )
     check_folder(folder)
     places = [(seed + i, folder / f"la{seed + i:02d}" if cohort else folder) for i in range(max(cohort, 1))]
     made = []
@@ -170,6 +177,33 @@ def synthesize(
             stage.step()
         made.append(Synthesis(place, report))
     return tuple(made)
+
+
+def _arm(
+    folder: Path, arm: str, seeds: Sequence[int], atrium: Mapping[str, Any], imaged: bool, stage: Stage
+) -> tuple[Synthesis, ...]:
+    from lacli.base.files import check_folder
+    from lacli.synthetic.cohort import ARMS, write_cohort
+
+    known = next((one for one in ARMS if one == arm), None)
+    if known is None:
+        raise UsageError(f"--arm {arm}: must be one of {', '.join(ARMS)}.")
+    if not seeds:
+        raise UsageError("--arm is of a cohort; say with --cohort how many patients.")
+    if imaged:
+        raise UsageError("--arm simulates the targets; leave --gated and --image out.")
+    check_folder(folder)
+    begun: list[str] = []
+
+    def tell(name: str) -> None:
+        stage.name = name
+        stage.reach(len(begun))
+        begun.append(name)
+
+    stage.begin()
+    rows = write_cohort(folder, seeds, known, atrium, tell)
+    stage.reach(len(seeds))
+    return tuple(Synthesis(Path(row["folder"]), row) for row in rows)
 
 
 @dataclass(frozen=True)

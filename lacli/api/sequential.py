@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,11 +11,14 @@ from lacli.api.progress import Cancel, OnProgress, Stage
 from lacli.base.errors import UsageError
 
 if TYPE_CHECKING:
+    from lacli.calibration.sequential.information import Forecast
     from lacli.calibration.sequential.result import Sequential
     from lacli.calibration.sequential.search import Settings, Status
+    from lacli.calibration.simulator import SceneSimulator
     from lacli.contracts.scene import Scene
     from lacli.contracts.targets import Targets
     from lacli.inference.box import Box
+    from lacli.inference.runs import RunLog
 
 RUNS = "runs"  # the folder of the simulations in a calibration's own
 FIGURES = ("corner.png", "trace.png")
@@ -61,9 +64,82 @@ def seek(
     Raises LacliError where runs tell no derivatives or too few finish, UsageError, TableError, AnatomyError,
     SolverMissingError, StorageError, Cancelled.
     """
-    from lacli.base.files import check_folder, superseded
+    from lacli.base.files import superseded
+    from lacli.calibration.sequential.calibration import calibrate_sequentially
+    from lacli.inference.sampling.posterior import LEAST_CONTRACTION
+    from lacli.report.inference_figures_posterior import corner_figure, trace_figure
+
+    job = _prepared(scene, targets, folder, box, settings, store, workers, scheduler, fresh, retry)
+    stage = Stage("calibration", 1.0, progress, cancel)
+    result = calibrate_sequentially(*job.parts, _hearing(stage), job.notes)
+    folder, box = job.folder, job.box
+    superseded(folder, *FIGURES)
+    pictures: tuple[Path, ...] = ()
+    if figures:
+        stage.of("drawing", 0.0, 1.0)
+        corner, trace = (folder / name for name in FIGURES)
+        unlearnt = [str(row["input"]) for row in result.table if float(row["contraction"]) < LEAST_CONTRACTION]
+        pictures = (corner_figure(result.chain, result.map_x, box, corner, as_prior=unlearnt), trace_figure(result.chain, trace))
+    return Sought(folder, result, pictures)
+
+
+def foresee(
+    scene: Scene,
+    targets: Targets,
+    folder: Path,
+    *,
+    box: Box | None = None,
+    settings: Settings | None = None,
+    store: Path | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    fresh: bool = False,
+    retry: bool = False,
+    progress: OnProgress | None = None,
+    cancel: Cancel | None = None,
+) -> Forecast:
+    """What the targets can teach of each input, before the calibration: its prior's sd, and the posterior's that is expected.
+
+    In the inputs' units, from the derivatives of the few runs that ``seek`` begins with, and finds done. Arguments and errors as
+    of ``seek``.
+    """
+    from lacli.calibration.sequential.calibration import forecast_sequentially
+
+    job = _prepared(scene, targets, folder, box, settings, store, workers, scheduler, fresh, retry)
+    return forecast_sequentially(*job.parts, _hearing(Stage("forecast", 1.0, progress, cancel)))
+
+
+@dataclass(frozen=True)
+class _Job:
+    simulator: SceneSimulator
+    box: Box
+    targets: Targets
+    settings: Settings
+    folder: Path
+    log: RunLog
+    notes: list[str]
+
+    @property
+    def parts(self) -> tuple[SceneSimulator, Box, Targets, Settings, Path, RunLog]:
+        return self.simulator, self.box, self.targets, self.settings, self.folder, self.log
+
+
+def _prepared(
+    scene: Scene,
+    targets: Targets,
+    folder: Path,
+    box: Box | None,
+    settings: Settings | None,
+    store: Path | None,
+    workers: int | None,
+    scheduler: str | None,
+    fresh: bool,
+    retry: bool,
+) -> _Job:
+    """What is run, held against what, where."""
+    from lacli.base.files import check_folder
     from lacli.calibration.calibration import obstacle
-    from lacli.calibration.sequential.calibration import calibrate_sequentially, sequential_identity
+    from lacli.calibration.sequential.calibration import sequential_identity
     from lacli.calibration.sequential.search import Settings
     from lacli.calibration.simulator import simulator
     from lacli.contracts.identity import settle
@@ -71,7 +147,6 @@ def seek(
     from lacli.inference.runs import RunLog, runs_identity
     from lacli.inference.runs import obstacle as in_the_way
     from lacli.mechanics.numerics.accuracy import known_errors
-    from lacli.report.inference_figures_posterior import corner_figure, trace_figure
 
     if words := lacking(scene):
         raise UsageError(f"calibrate: {words} Change the scene, or use --method published.")
@@ -85,19 +160,14 @@ def seek(
     identity = sequential_identity(box, targets, settings, of_runs)
     folder = settle(folder, lambda place: obstacle(place, identity) or in_the_way(place / "runs.csv", of_runs), fresh)
     log = RunLog(folder / "runs.csv", box.names, targets.names, of_runs, retry)
-    stage = Stage("calibration", 1.0, progress, cancel)
+    return _Job(run, box, targets, settings, folder, log, notes)
 
+
+def _hearing(stage: Stage) -> Callable[[Status], None]:
     def hear(status: Status) -> None:
         stage.of(f"{status.stage}, {status.runs} runs" if not status.total else status.stage, status.done, status.total)
 
-    result = calibrate_sequentially(run, box, targets, settings, folder, log, hear, notes)
-    superseded(folder, *FIGURES)
-    pictures: tuple[Path, ...] = ()
-    if figures:
-        stage.of("drawing", 0.0, 1.0)
-        corner, trace = (folder / name for name in FIGURES)
-        pictures = (corner_figure(result.chain, result.map_x, box, corner), trace_figure(result.chain, trace))
-    return Sought(folder, result, pictures)
+    return hear
 
 
 def lacking(scene: Scene) -> str:

@@ -16,8 +16,11 @@ from lacli.report.inference_figures import INK, SPREAD, TARGET, label, save
 from lacli.report.style import paper
 
 
-def corner_figure(chain: Chain, best: FloatArray, box: Box, path: Path, truth: FloatArray | None = None) -> Path:
-    """Marginals and pairs over the box, the most probable point, and the truth where it is known."""
+def corner_figure(
+    chain: Chain, best: FloatArray, box: Box, path: Path, truth: FloatArray | None = None, as_prior: Sequence[str] = ()
+) -> Path:
+    """Marginals and pairs over the box, the most probable point, and the truth where it is known; inputs ``as_prior``, of which
+    the targets told nothing, are marked."""
     with paper(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import corner
@@ -40,6 +43,9 @@ def corner_figure(chain: Chain, best: FloatArray, box: Box, path: Path, truth: F
                 corner.overplot_lines(figure, truth, color="k", lw=0.7, ls="--")
             for axis in figure.axes:
                 axis.tick_params(labelsize=5.5, length=2)
+            for i in (box.names.index(name) for name in as_prior):
+                own = figure.axes[i * (d + 1)]
+                own.text(0.5, 0.97, "as the prior", transform=own.transAxes, ha="center", va="top", fontsize=6, color=TARGET)
             lines = [plt.Line2D([], [], color=INK, lw=1.2), plt.Line2D([], [], color=TARGET, lw=1.2)]
             names = ["posterior (39 %, 86 % regions)", "most probable"]
             if truth is not None:

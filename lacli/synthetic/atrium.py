@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 
@@ -32,6 +33,7 @@ def synthesize(
     layers: int | None = None,
     rule: str = "laplace-dirichlet",
     at_ostia: bool = False,
+    wall: Callable[[FloatArray], FloatArray] | None = None,
 ) -> tuple[Bundle, Motion]:
     """Bundle and annulus motion of a seed.
 
@@ -39,14 +41,20 @@ def synthesize(
     cavity volume is within the discretisation of that. ``rule``: of coordinates.RULES, regions then follow the universal
     atrial coordinates; or "simple": sectors and two-layer fibres by the shape's own axes (see frame). ``at_ostia``: cut the
     vessels where `mesh` does, at their ostia (Shape.at_ostia), of the atrium that has the volume when cut as drawn.
+    ``wall``: thickness (k,) mm at points (k, 3) mm, in place of one thickness everywhere.
     Raises AnatomyError for an argument out of range.
     """
     shape = sized(seed, volume_ml)
     surface = cavity(shape.at_ostia() if at_ostia else shape)
-    bundle = mesh_shell(surface, thickness_mm, cell_size_mm, order=order, layers=layers)
+    bundle = mesh_shell(surface, thickness_mm if wall is None else wall(surface.points), cell_size_mm, order=order, layers=layers)
     if rule != "simple":
         bundle = describe(bundle, rule=rule).bundle
-    info = {"source": "parametric left atrium", "seed": seed, "thickness_mm": thickness_mm, "cell_size_mm": cell_size_mm}
+    info = {
+        "source": "parametric left atrium",
+        "seed": seed,
+        "thickness_mm": thickness_mm if wall is None else "varying",
+        "cell_size_mm": cell_size_mm,
+    }
     bundle = replace(bundle, info={**info, **bundle.info})
     return bundle, descend(bundle, frames=frames, descent_mm=descent_mm)
 

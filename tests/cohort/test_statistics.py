@@ -9,10 +9,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy import stats as scipy_stats
+from scipy.linalg import block_diag
 
 from lacli.base.errors import InputError, LacliError, TableError, UsageError
 from lacli.cohort.analysis import journal
-from lacli.cohort.analysis.errors_in_variables import structural_slope
+from lacli.cohort.analysis.errors_in_variables import _Model, structural_slope
 from lacli.cohort.analysis.mixed import known_error, normal_draws, published, rubin
 from lacli.cohort.analysis.observations import Observations, read_observations
 from lacli.cohort.analysis.paired import holm, paired_tests
@@ -266,3 +267,34 @@ def test_the_carried_slope_over_a_few_cohorts() -> None:
         found.append(structural_slope(w, y, error, none))
     assert 0.35 < float(np.median([f.beta for f in found])) < 0.65
     assert sum(f.low <= 0.5 <= f.high for f in found) >= 4
+
+
+def test_the_information_is_that_of_the_restricted_likelihood_written_out() -> None:
+    rng = np.random.default_rng(3)
+    n, r = 4, 2
+    errors = np.tile(0.3 * np.eye(r), (n, 1, 1)) * np.linspace(0.5, 1.5, n)[:, None, None]
+    model = _Model(rng.normal(size=(n, r)), rng.normal(size=(n, r)), errors, 0.1 * errors)
+    at = np.array([0.4, *np.log([0.5, 0.7, 0.2, 0.6])])
+
+    def whole(point: np.ndarray) -> np.ndarray:
+        return block_diag(*model.covariance(float(point[0]), point[1:]))
+
+    # P = W - W X (X' W X)^-1 X' W with one mean for each column; information tr(P V_i P V_j) / 2
+    w, x = np.linalg.inv(whole(at)), np.tile(np.eye(2 * r), (n, 1))
+    p = w - w @ x @ np.linalg.inv(x.T @ w @ x) @ x.T @ w
+    h = 1e-4
+    v = [(whole(at + h * e) - whole(at - h * e)) / (2 * h) for e in np.eye(5)]
+    expected = [[0.5 * np.trace(p @ a @ p @ b) for b in v] for a in v]
+    assert model.information(at, range(5)) == pytest.approx(np.array(expected), rel=1e-5)
+    part = [0, 2, 4]
+    assert model.information(at, part) == pytest.approx(np.array(expected)[np.ix_(part, part)], rel=1e-5)
+
+
+def test_degrees_of_freedom_are_few_where_patients_are_few_and_those_of_residuals_where_they_are_many() -> None:
+    found = []
+    for patients in (10, 400):
+        x, y = cohort(6, 0.5, patients=patients)
+        w = x + np.random.default_rng(0).normal(0, 0.8, x.shape)
+        found.append(structural_slope(w, y, np.tile(0.64 * np.eye(5), (patients, 1, 1)), np.zeros((patients, 5, 5))))
+    assert 1 <= found[0].df < 15  # what the variances of ten patients tell, not their 35 residuals
+    assert found[1].df > 15 * found[0].df  # in proportion to the patients: 40 times as many

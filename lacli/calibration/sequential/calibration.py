@@ -26,6 +26,7 @@ from lacli.calibration.sequential.descent import Incumbent
 from lacli.calibration.sequential.draws import LEAST_EFFECTIVE, draw
 from lacli.calibration.sequential.emulator import Components, fit
 from lacli.calibration.sequential.evidence import Evidence
+from lacli.calibration.sequential.information import Forecast, forecast
 from lacli.calibration.sequential.laplace import Laplace
 from lacli.calibration.sequential.result import Sequential, document, result_of
 from lacli.calibration.sequential.search import Monitor, Search, Settings
@@ -89,6 +90,27 @@ def calibrate_sequentially(
     result = result_of(search, evidence, known, local, components, chain, moved, swept, map_runs, stopped)
     write_json(folder / RESULT, {"identity": identity.digest, **document(result)})
     return result
+
+
+@single_threaded
+def forecast_sequentially(
+    simulator: Simulator,
+    box: Box,
+    targets: Targets,
+    settings: Settings,
+    folder: Path,
+    log: RunLog,
+    monitor: Monitor = lambda status: None,
+) -> Forecast:
+    """What the targets can teach, from the runs that the calibration begins with (they are in the log for it).
+
+    Raises as ``calibrate_sequentially``.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    write_identity(folder / FILE, sequential_identity(box, targets, settings, log.identity))
+    search = Search(simulator, box, targets, settings, log, monitor)
+    _start(search, None)
+    return forecast(log, search.x, search.targets, search.scale)
 
 
 def sequential_identity(box: Box, targets: Targets, settings: Settings, runs: Any) -> Identity:

@@ -11,6 +11,7 @@ from lacli.base.arrays import FloatArray
 from lacli.calibration.sequential import modes
 from lacli.calibration.sequential.emulator import Components
 from lacli.calibration.sequential.evidence import Evidence
+from lacli.calibration.sequential.information import by_group
 from lacli.calibration.sequential.laplace import Laplace
 from lacli.calibration.sequential.outputs import Features
 from lacli.calibration.sequential.search import Search
@@ -26,7 +27,7 @@ class Sequential:
     by input; change (d,): how far the emulator's error may still move the posterior's mean, in its sds; minima
     (k, d): the modes found, the best first; sweep: what the check of the box says; notes: what a user must know; left_out:
     targets that the runs cannot tell (targets: the others); rmse_mm: of the displacements at the most probable point, None
-    where no target is one."""
+    where no target is one; information: by group of targets, what it told at the best run."""
 
     box: Box
     targets: Targets
@@ -49,6 +50,7 @@ class Sequential:
     cpu_s: float
     left_out: tuple[str, ...]
     rmse_mm: float | None
+    information: list[dict[str, float | str]]
 
     @property
     def runs(self) -> int:
@@ -72,6 +74,7 @@ def result_of(
     box, targets = search.box, search.targets
     row = int(np.argmin(evidence.misfit))  # the run at the answer, but for the emulator's error there
     misfit, map_x = float(evidence.chi2[row]), evidence.x[row]
+    told = int(np.argmin(np.where(evidence.told, evidence.misfit, np.inf)))
     frame = search.log.frame(evidence.x[row][None])
     nearest = frame[list(targets.names)].to_numpy(float)[0]
     mean, variance = Features(local, search.scale, targets, targets.names).predict(map_x[None])
@@ -112,6 +115,7 @@ def result_of(
         moved,
         search.scale.to_x(np.array([mode.centre for mode in known])), swept, chain, fitted, local.held_out, stopped, refused,
         tuple(notes), search.x, float(used["cpu_s"].sum()), search.left_out, rmse,
+        by_group(search.log, evidence.x[told], targets, search.scale),
     )  # fmt: skip
 
 
@@ -123,6 +127,7 @@ def document(result: Sequential) -> dict[str, Any]:
         "cpu_s": result.cpu_s if np.isfinite(result.cpu_s) else None,
         "chi2": result.misfit, "targets": len(result.targets.names), "targets_left_out": list(result.left_out),
         "posterior": result.table,
+        "information": result.information,
         "emulator_change_sd": dict(zip(result.box.names, result.change.tolist(), strict=True)),
         "modes": [dict(zip(result.box.names, row, strict=True)) for row in result.minima.tolist()],
         "probability_elsewhere": result.sweep.elsewhere, "box_not_ruled_out": result.sweep.open_,

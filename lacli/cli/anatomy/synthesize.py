@@ -10,6 +10,7 @@ import typer
 from lacli.api import anatomy
 from lacli.base.errors import UsageError
 from lacli.cli.terminal.console import one_bar, print_json, print_table
+from lacli.contracts.labels import BODY_REGIONS
 
 
 def command(
@@ -41,6 +42,13 @@ def command(
         list[str] | None,
         typer.Option("--parameter", metavar="NAME=VALUE", help="With --gated: a known parameter (alpha_roof=2, edp_mmhg=7)."),
     ] = None,
+    arm: Annotated[
+        str | None,
+        typer.Option(
+            help="With --cohort: patients for `lacli cohort`, targets simulated on a finer mesh; heterogeneous (every region its"
+            " own stiffness), control (one everywhere) or thickness (one, in a wall of varying thickness)."
+        ),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
 ) -> None:
     """Write a parametric left atrium from a seed: bundle (wall, boundary, regions, fibres), annulus motion, images if asked.
@@ -51,6 +59,8 @@ def command(
 
     Example: lacli synthesize cohort --cohort 10 --cell-size-mm 4
 
+    Example: lacli synthesize patients --cohort 10 --arm heterogeneous
+
     Example: lacli synthesize patient --gated --frames 10 --voxel-mm 1.0
     """
     with one_bar("synthesizing") as show:
@@ -58,11 +68,25 @@ def command(
             out, seed=seed, volume_ml=volume_ml, thickness_mm=thickness_mm, cell_size_mm=cell_size_mm, order=order, frames=frames,
             descent_mm=descent_mm, cohort=cohort, image=image, voxel_mm=voxel_mm, gated=gated, noise_hu=noise_hu, blur=blur,
             motion_blur=motion_blur, contrast_drift_hu=contrast_drift_hu, heart_rate=heart_rate,
-            parameters=_parameters(parameter or []) if gated else {}, progress=show,
+            parameters=_parameters(parameter or []) if gated else {}, arm=arm, progress=show,
         )  # fmt: skip
     rows = [one.report for one in made]
     if as_json:
         print_json(rows)
+    elif arm is not None:
+        print_table(
+            f"alpha by region of the synthetic patients in {out}, arm {arm} (participants.csv, truths.csv)",
+            ["folder", "EDV mL", *BODY_REGIONS, "CPU s"],
+            [
+                [
+                    Path(r["folder"]).name,
+                    r["edv_ml"],
+                    *(r["parameters"][f"alpha_{region}"] for region in BODY_REGIONS),
+                    r["truth_cpu_s"],
+                ]
+                for r in rows
+            ],
+        )
     elif gated:
         print_table(
             f"synthetic patients in {out}",

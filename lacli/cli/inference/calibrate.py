@@ -71,6 +71,9 @@ def command(
     ] = None,
     fresh: Fresh = False,
     retry: Retry = False,
+    forecast: Annotated[
+        bool, typer.Option("--forecast", help="sequential: only its first runs, and what these targets can teach of each input.")
+    ] = False,
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
     seed: Seed = 0,
     as_json: Json = False,
@@ -111,12 +114,18 @@ def command(
         if of_waves:
             raise UsageError(f"--method sequential makes no waves: {', '.join(of_waves)} is of the published method.")
         space = read_box(box_file) if box_file else published_box()
-        _seek(
-            read_scene(scene_file, overrides, space), read_targets(targets_file), folder, as_json, box=space,
-            settings=Sought(max_runs=max_runs or Sought.max_runs, seed=seed, mcmc=Sampling(ess=ess)), store=root,
-            workers=workers, scheduler=scheduler, fresh=fresh, retry=retry, figures=figures,
-        )  # fmt: skip
+        options: dict[str, Any] = {
+            "box": space, "settings": Sought(max_runs=max_runs or Sought.max_runs, seed=seed, mcmc=Sampling(ess=ess)),
+            "store": root, "workers": workers, "scheduler": scheduler, "fresh": fresh, "retry": retry,
+        }  # fmt: skip
+        patient, wanted = read_scene(scene_file, overrides, space), read_targets(targets_file)
+        if forecast:
+            _foresee(patient, wanted, folder, as_json, **options)
+        else:
+            _seek(patient, wanted, folder, as_json, figures=figures, **options)
         return
+    if forecast:
+        raise UsageError("--forecast: of the sequential method, which needs a SCENE whose runs tell derivatives, and --targets.")
     settings = Settings(
         first_runs=first or Settings.first_runs,
         wave_runs=following or Settings.wave_runs,
@@ -160,9 +169,28 @@ def _default_method(scene_file: Path, overrides: list[str] | None) -> str:
     return "sequential"
 
 
+def _foresee(scene: Scene, targets: Targets, folder: Path, as_json: bool, **options: Any) -> None:
+    from lacli.api.sequential import foresee
+    from lacli.inference.sampling.posterior import learnt
+
+    with _told() as show:
+        found = foresee(scene, targets, folder, progress=show, **options)
+    rows = found.rows()
+    if as_json:
+        print_json({"runs": found.runs, "targets": len(targets.names), "inputs": rows})
+        return
+    print_table(
+        f"What {len(targets.names)} targets can teach, by the derivatives of {found.runs} runs over the box",
+        ["input", "prior's sd", "expected sd", "least", "most", "sd below prior's"],
+        [[r["input"], r["prior_sd"], r["expected_sd"], r["least_sd"], r["most_sd"], learnt(r)] for r in rows],
+    )
+    out.print("The calibration begins with these runs. sds are of a linear model: a bent posterior is wider.", soft_wrap=True)
+
+
 def _seek(scene: Scene, targets: Targets, folder: Path, as_json: bool, **options: Any) -> None:
     from lacli.api.sequential import seek
     from lacli.calibration.sequential.result import document
+    from lacli.inference.sampling.posterior import learnt
 
     begin = time.monotonic()
     with _told() as show:
@@ -176,16 +204,19 @@ def _seek(scene: Scene, targets: Targets, folder: Path, as_json: bool, **options
         print_table(
             f"Posterior (ESS {result.chain.ess.min():.0f}, R-hat {result.chain.rhat.max():.3f}"
             + (")" if result.chain.converged else ", not converged)"),
-            ["input", "most probable", "mean", "sd", "2.5 %", "97.5 %", "emulator's part, sd"],
-            [
-                [r["input"], r["map"], r["mean"], r["sd"], r["low95"], r["high95"], float(moved)]
-                for r, moved in zip(result.table, result.change, strict=True)
-            ],
+            ["input", "best", "mean", "sd", "2.5 %", "97.5 %", "sd below prior's"],
+            [[r["input"], r["map"], r["mean"], r["sd"], r["low95"], r["high95"], learnt(r)] for r in result.table],
+        )
+        print_table(
+            "What the targets told",
+            ["group", "targets", "nats alone", "nats lost without it"],
+            [[g["group"], g["targets"], g["alone_nats"], g["lost_without_nats"]] for g in result.information],
         )
         print_table("Runs", ["stage", "runs"], [[name, count] for name, count in result.stages.items()])
         out.print(
             f"chi^2 {result.misfit:.1f} for {len(targets.names)} targets; {result.runs} runs ({result.failed} failed), "
-            f"{result.map_runs} until the most probable point. Stopped because {result.stopped}; {_time(wall_s)}. "
+            f"{result.map_runs} until the most probable point. Stopped because {result.stopped}; it may still move a mean by "
+            f"{result.change.max():.2f} sd. {_time(wall_s)}. "
             f"Everything is in {found.folder}",
             highlight=False,
             soft_wrap=True,

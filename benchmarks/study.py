@@ -1,0 +1,76 @@
+"""A synthetic study held against its truth: coverage of the 95 % intervals, and what was claimed of regional against global.
+
+    python benchmarks/study.py COHORT STUDY
+
+COHORT is what ``lacli synthesize --cohort N --arm ARM`` wrote, STUDY what ``lacli cohort`` made of it. In the heterogeneous arm
+regional stiffness should be preferred, in the others (one stiffness everywhere) it must not be. Exit code 1 where a patient's
+contrast is claimed the wrong way round; coverage is printed beside what is asked (93 to 97 %), with its own standard error.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from lacli.base.documents import read_json
+from lacli.synthetic.cohort import PARTICIPANTS, TRUTHS
+
+
+def inside(study: Path, truths: pd.DataFrame) -> pd.DataFrame:
+    """By patient (rows, those that are done) and input: whether the truth is in the 95 % interval."""
+    rows = {}
+    for name, truth in truths.iterrows():
+        file = study / str(name) / "calibration" / "result.json"
+        if file.is_file():
+            posterior = {row["input"]: row for row in read_json(file)["posterior"]}
+            rows[name] = {k: r["low95"] <= truth[k] <= r["high95"] for k, r in posterior.items() if k in truth}
+    return pd.DataFrame.from_dict(rows, orient="index")
+
+
+def claims(study: Path, patients: list[str]) -> pd.DataFrame:
+    """By patient: log evidence of regional less that of global with its standard error, and the verdict in words."""
+    rows = {}
+    for name in patients:
+        file = study / name / "comparison.json"
+        if file.is_file():
+            # regional is the first model, so that contrasts are of it against the others
+            c = next((c for c in read_json(file)["contrasts"] if (c["model"], c["against"]) == ("regional", "global")), None)
+            if c is not None:
+                rows[name] = {"regional_over_global": c["difference"], "se": c["se"], "verdict": c["verdict"]}
+    return pd.DataFrame.from_dict(rows, orient="index")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("cohort", type=Path)
+    parser.add_argument("study", type=Path)
+    choice = parser.parse_args()
+    truths = pd.read_csv(choice.cohort / TRUTHS, dtype={"participant_id": str}).set_index("participant_id")
+    arm = str(pd.read_csv(choice.cohort / PARTICIPANTS)["arm"].iloc[0])
+    found = inside(choice.study, truths)
+    if found.empty:
+        print("no patient is done")
+        return 1
+    values = found.to_numpy(float)
+    by_patient = values.mean(axis=1)
+    se = by_patient.std(ddof=1) / np.sqrt(len(by_patient)) if len(by_patient) > 1 else float("nan")
+    print(f"{arm}: {len(found)} of {len(truths)} patients done")
+    print(
+        f"truths inside 95 % intervals: {int(values.sum())} of {values.size} = {values.mean():.1%} ± {se:.1%} (asked 93 - 97 %)"
+    )
+    print(found.mean().map("{:.0%}".format).to_string())
+    told = claims(choice.study, [str(name) for name in found.index])
+    print(told.to_string())
+    preferred = told[told["verdict"].str.contains("strongly preferred")]
+    claimed = preferred["verdict"].str.startswith("regional")
+    wrong = claimed[claimed != (arm == "heterogeneous")]
+    print(f"claims: {len(claimed)} of {len(told)}, the wrong way round: {', '.join(map(str, wrong.index)) or 'none'}")
+    return 1 if len(wrong) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

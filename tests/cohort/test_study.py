@@ -1,0 +1,149 @@
+"""A study on disk: a step is done once, found by the content of what it read, and one patient's failure stays that patient's."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from chains import chain_of
+
+from lacli.base.errors import Cancelled, InputError, UsageError
+from lacli.cohort import page as study_pages
+from lacli.cohort.analysis.summary import MODELS, PATIENTS, REGIONS, SUMMARY, median_cpu_s, write_summary
+from lacli.cohort.participants import Participant, read_participants
+from lacli.cohort.steps import Step
+from lacli.cohort.study import Outcome, content_digest, known_outcome, planned, run
+from lacli.contracts.labels import BODY_REGIONS
+from lacli.inference.sampling.posterior import save_chain
+
+
+@pytest.fixture
+def patient(tmp_path: Path) -> Participant:
+    (tmp_path / "targets.toml").write_text("x")
+    (tmp_path / "scene.toml").write_text("x")
+    (tmp_path / "runs.csv").write_text("x")
+    (tmp_path / "p.csv").write_text("participant_id,targets,table\nsub-1,targets.toml,runs.csv\n")
+    (found,) = read_participants(tmp_path / "p.csv")
+    return found
+
+
+def version_step(tmp_path: Path, name: str = "mesh", reads: str = "input.txt") -> Step:
+    """A step that costs nothing: `lacli --version`."""
+    (tmp_path / "product").mkdir(exist_ok=True)
+    return Step(name, ("--version",), (tmp_path / reads,), tmp_path / "product")
+
+
+def test_a_step_is_done_once_and_refused_from_other_content(patient: Participant, tmp_path: Path) -> None:
+    (tmp_path / "input.txt").write_text("one")
+    step, folder, begun = version_step(tmp_path), tmp_path / "study" / "sub-1", list[str]()
+    assert [row.state for row in planned(patient, [step], folder)] == ["to do"]
+    outcome = run(patient, [step], folder, begun.append, lambda: True)
+    assert (outcome.status, outcome.step, begun) == ("done", "", ["mesh"])
+    assert outcome.cpu_s["mesh"] > 0
+    mark = folder / "steps" / "mesh.json"
+    first = mark.read_bytes()
+    assert run(patient, [step], folder, begun.append, lambda: True) == outcome
+    assert mark.read_bytes() == first, "found, not done again"
+    assert [row.state for row in planned(patient, [step], folder)] == ["done"]
+    assert known_outcome(folder) == outcome
+
+    (tmp_path / "input.txt").write_text("two")
+    with pytest.raises(UsageError, match=r"done from another .*input\.txt"):
+        planned(patient, [step], folder)
+    assert run(patient, [step], folder, begun.append, lambda: True).status == "failed"
+    (tmp_path / "input.txt").write_text("one")
+    with pytest.raises(UsageError, match="with other options"):
+        planned(patient, [dataclasses.replace(step, arguments=("--help",))], folder)
+
+
+def test_what_follows_a_step_that_is_to_do_is_to_do(patient: Participant, tmp_path: Path) -> None:
+    (tmp_path / "input.txt").write_text("one")
+    folder = tmp_path / "study" / "sub-1"
+    run(patient, [version_step(tmp_path, "calibrate")], folder, lambda name: None, lambda: True)
+    rows = planned(patient, [version_step(tmp_path, "mesh"), version_step(tmp_path, "calibrate")], folder)
+    assert [row.state for row in rows] == ["to do", "to do"]
+
+
+def test_a_failure_is_an_outcome_with_its_last_words(patient: Participant, tmp_path: Path) -> None:
+    (tmp_path / "input.txt").write_text("one")
+    good = version_step(tmp_path)
+    bad = Step("calibrate", ("mesh", "none.nrrd", "--out", "x"), (), tmp_path / "product")
+    outcome = run(patient, [good, bad], tmp_path / "s", lambda name: None, lambda: True)
+    assert (outcome.status, outcome.step) == ("failed", "calibrate")
+    assert "none.nrrd" in outcome.reason and set(outcome.cpu_s) == {"mesh"}
+    missing = dataclasses.replace(good, name="track", reads=(tmp_path / "gone",))
+    assert "gone: cannot be read" in run(patient, [missing], tmp_path / "s", lambda name: None, lambda: True).reason
+    with pytest.raises(Cancelled, match="what is done is kept"):
+        run(
+            patient, [dataclasses.replace(good, name="fat", arguments=("doctor",))], tmp_path / "s", lambda n: None, lambda: False
+        )
+    (tmp_path / "s" / "status.json").write_text('{"status": "done"}')
+    with pytest.raises(InputError, match="not a patient's state"):
+        known_outcome(tmp_path / "s")
+    assert known_outcome(tmp_path / "nobody") is None
+
+
+def test_a_folder_s_digest_is_that_of_its_files_and_their_names(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "one").write_text("1")
+    assert content_digest(tmp_path / "a") == content_digest(tmp_path / "b")
+    (tmp_path / "b" / "one").rename(tmp_path / "b" / "other")
+    assert content_digest(tmp_path / "a") != content_digest(tmp_path / "b")
+
+
+def compared(folder: Path, rmse: float) -> None:
+    """What a finished patient left, as the tables need it."""
+    (folder / "calibration").mkdir(parents=True)
+    rows = [{"input": f"alpha_{r}", "map": 1.0 + i, "mean": 1.1 + i, "sd": 0.1} for i, r in enumerate(BODY_REGIONS)]
+    fit = [{"feature": f"d_{r}_mm", "target": 5.0 + i, "sd": 0.2, "emulated": 5.0} for i, r in enumerate(BODY_REGIONS)]
+    result = {"posterior": rows, "fit": fit, "waves": [{"runs": 10}], "rmse_mm": rmse}
+    (folder / "calibration" / "result.json").write_text(json.dumps(result))
+    pd.DataFrame({"a": [1.0, 2.0, 3.0], "cpu_s": [10.0, 30.0, np.nan]}).to_csv(folder / "calibration" / "runs.csv", index=False)
+    save_chain(folder / "calibration" / "chain.npz", chain_of([f"alpha_{r}" for r in BODY_REGIONS]))
+    same = {"log_evidence": -3.0, "log_evidence_se": 0.1, "elpd": -4.0, "elpd_se": 1.0, "p_loo": 2.0}
+    fits = [{"name": n, "rmse_mm": rmse + k, **same} for k, n in enumerate(("regional", "global"))]
+    (folder / "comparison.json").write_text(json.dumps({"fits": fits}))
+
+
+def test_the_tables_hold_who_is_done_and_say_who_is_not(tmp_path: Path) -> None:
+    (tmp_path / "targets.toml").write_text("x")
+    (tmp_path / "p.csv").write_text(
+        "participant_id,targets,table,age\n" + "".join(f"sub-{i},targets.toml,targets.toml,{60 + i}\n" for i in range(3))
+    )
+    patients = read_participants(tmp_path / "p.csv")
+    study = tmp_path / "study"
+    for i in (0, 1):
+        compared(study / f"sub-{i}", 0.2 + 0.2 * i)
+    outcomes = [Outcome(f"sub-{i}", "done", "", "", {"mesh": 2.0, "calibrate": 5.0}) for i in (0, 1)]
+    outcomes.append(Outcome("sub-2", "failed", "mesh", "no atrium", {}))
+    summary = write_summary(study, patients, outcomes)
+    assert (summary["patients"], summary["done"], summary["failed"]) == (3, 2, ["sub-2"])
+    regional = summary["models"][0]
+    # .2 and .4: mean .3, sd .2 / sqrt 2
+    assert (regional["name"], regional["patients"]) == ("regional", 2)
+    assert regional["rmse_mean_mm"] == pytest.approx(0.3) and regional["rmse_sd_mm"] == pytest.approx(0.2 / np.sqrt(2.0))
+    people = pd.read_csv(study / PATIENTS)
+    assert people["cpu_s"].tolist() == [7.0, 7.0, 0.0] and people["reason"].tolist()[2] == "no atrium"
+    table = pd.read_csv(study / REGIONS)
+    assert len(table) == 10 and set(table["region"]) == set(BODY_REGIONS)
+    draws = pd.read_csv(study / "draws.csv")
+    assert len(draws) == 2 * 5 * 200 and set(draws["draw"]) == set(range(200))
+    assert median_cpu_s(study) == 20.0
+    assert median_cpu_s(tmp_path / "nowhere") is None
+
+    made = study_pages.study_page(study, tmp_path)
+    assert made.lead == "2 of 3 participants done."
+    titles = [section.title for section in made.sections]
+    assert titles[:2] == ["Participants", "Models"]
+    (study / SUMMARY).write_text("{}")
+    with pytest.raises(InputError, match="not a study's summary"):
+        study_pages.study_page(study, tmp_path)
+    for path in (study / MODELS, study / SUMMARY):
+        path.unlink()
+    with pytest.raises(InputError, match="is this the folder of"):
+        study_pages.study_page(study, tmp_path)

@@ -1,0 +1,80 @@
+"""Figures over patients, and what a methods paragraph cites."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+
+from lacli.contracts.labels import BODY_REGIONS, REGION_COLOURS
+from lacli.contracts.scene import build_scene
+from lacli.report.cohort_figures import regions_figure, scatter_figure
+from lacli.report.page import methods
+from lacli.report.page.references import SHORT, bibtex
+
+VALUES = np.arange(15.0).reshape(3, 5) + 1.0
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    figures: list[Figure] = []
+    close = plt.close
+    monkeypatch.setattr(plt, "close", lambda figure=None: figures.append(figure) if figure is not None else close("all"))
+    return figures
+
+
+def test_a_marker_a_patient_in_its_region_s_colour(tmp_path: Path, drawn: list[Figure]) -> None:
+    files = [tmp_path / f"r.{suffix}" for suffix in ("png", "pdf", "svg")]
+    regions_figure(VALUES, BODY_REGIONS, "stiffness alpha", files)
+    assert [f.read_bytes()[:4] for f in files][:2] == [b"\x89PNG", b"%PDF"]
+    axis = drawn[0].axes[0]
+    assert axis.get_ylabel() == "stiffness alpha"
+    assert [t.get_text() for t in axis.get_xticklabels()] == list(BODY_REGIONS)
+    marked = [line for line in axis.lines if line.get_marker() == "o"]
+    for j, (line, region) in enumerate(zip(marked, BODY_REGIONS, strict=True)):
+        assert to_hex(line.get_color()).upper() == REGION_COLOURS[region].upper()
+        assert np.asarray(line.get_ydata()).tolist() == VALUES[:, j].tolist()
+
+
+def test_a_scatter_has_the_posterior_s_sd_as_bars(tmp_path: Path, drawn: list[Figure]) -> None:
+    sd = np.full_like(VALUES, 0.25)
+    scatter_figure(VALUES, VALUES + 1.0, BODY_REGIONS, ("thickness (mm)", "alpha"), sd, [tmp_path / "s.png"])
+    axis = drawn[0].axes[0]
+    assert (axis.get_xlabel(), axis.get_ylabel()) == ("thickness (mm)", "alpha")
+    first = axis.containers[0]
+    (bars,) = first.lines[2]
+    segment = bars.get_segments()[0]
+    assert segment[1][0] - segment[0][0] == pytest.approx(0.5)  # 2 x .25
+    assert [t.get_text() for t in axis.get_legend().get_texts()] == list(BODY_REGIONS)
+
+
+def test_the_methods_say_what_was_modelled_and_cite_it(tmp_path: Path) -> None:
+    def of(*settings: str) -> tuple[str, list[str]]:
+        scene = build_scene({"anatomy": {"bundle": "la"}}, list(settings), folder=tmp_path, where="test")
+        return methods.of_run(scene, {"lacli": "1.2.3", "freefem": "4.9"})
+
+    text, keys = of("loads.edp_mmhg=8", "loads.esp_mmhg=18", "numerics.order=2")
+    assert "lacli 1.2.3 and FreeFEM 4.9" in text and "tetrahedra of order 2" in text
+    assert "from 8 mmHg at end-diastole to 18 mmHg at end-systole" in text and "prestrain" in text
+    assert keys == ["Hecht2012", "Roney2019", "Guccione1991"]
+    other, keys = of("materials.law=neo_hookean", "numerics.unloading=backward", "loads.edp_mmhg=8")
+    assert "law neo_hookean" in other and "backward displacement (Bols et al. 2013)" in other
+    assert keys == ["Hecht2012", "Roney2019", "Bols2013"]
+    result = {"waves": [{"runs": 200}, {"runs": 300}], "posterior": [{"input": "alpha_roof"}], "fit": [1, 2], "samples": 5000}
+    text, keys = methods.of_calibration(result)
+    assert "2 features" in text and "2 waves" in text and "300 runs" in text and "5000 samples" in text
+    assert keys == ["Vernon2010", "ForemanMackey2013"]
+
+
+def test_every_key_that_can_be_cited_has_an_entry() -> None:
+    keys = [key for key in SHORT if key != "lacli"]
+    text = bibtex(keys, "1.2.3")
+    for key in keys:
+        assert f"@article{{{key},\n" in text
+    assert text.count("@") == len(keys) + 1 and "version = {1.2.3}" in text
+    assert text.count("{") == text.count("}")
+    assert text.count("doi = {10.") == len(keys)

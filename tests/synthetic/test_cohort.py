@@ -1,0 +1,78 @@
+"""Synthetic cohorts: what is drawn in each arm, and a patient written from a finer mesh than that of its calibration."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from lacli.api import anatomy
+from lacli.base.errors import AnatomyError, UsageError
+from lacli.cohort.participants import read_participants
+from lacli.contracts.bundle import load
+from lacli.contracts.labels import BODY_REGIONS
+from lacli.contracts.scene import load_scene
+from lacli.contracts.targets import read_targets
+from lacli.inference.box import published_box
+from lacli.synthetic import cohort
+from lacli.synthetic.cohort import ARMS, parameters_of, varying
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_only_one_arm_has_regions_that_differ(arm: cohort.Arm) -> None:
+    box = published_box()
+    for seed in range(200):
+        drawn = parameters_of(seed, arm)
+        alpha = [drawn[f"alpha_{region}"] for region in BODY_REGIONS]
+        assert (len(set(alpha)) > 1) == (arm == "heterogeneous")
+        for name, low, high in zip(box.names, box.lower, box.upper, strict=True):
+            assert low < drawn[name] < high, name
+    assert parameters_of(1, arm) == parameters_of(1, arm) != parameters_of(2, arm)
+
+
+def test_the_wall_is_thin_here_and_thick_there() -> None:
+    grid = np.stack(np.meshgrid(*[np.linspace(-40, 40, 30)] * 3), axis=-1).reshape(-1, 3)
+    thickness = varying(3)(grid)
+    assert 1.2 <= thickness.min() < 1.3 and 3.1 < thickness.max() <= 3.2
+
+
+def test_what_cannot_be_made_is_told_first(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="one of heterogeneous, control, thickness"):
+        anatomy.synthesize(tmp_path / "c", cohort=2, arm="regional")
+    with pytest.raises(UsageError, match="--cohort how many"):
+        anatomy.synthesize(tmp_path / "c", arm="control")
+    with pytest.raises(UsageError, match="leave --gated"):
+        anatomy.synthesize(tmp_path / "c", cohort=2, arm="control", gated=True)
+    (tmp_path / "c" / "sub-01").mkdir(parents=True)
+    (tmp_path / "c" / "sub-01" / "mine.txt").write_text("thesis")
+    with pytest.raises(AnatomyError, match="no patient of a synthetic cohort"):
+        anatomy.synthesize(tmp_path / "c", cohort=1, arm="control")
+    assert (tmp_path / "c" / "sub-01" / "mine.txt").read_text() == "thesis"
+
+
+@pytest.mark.slow
+def test_a_patient_is_what_a_study_reads(tmp_path: Path) -> None:
+    home = tmp_path / "c"
+    options = {"cohort": 1, "arm": "thickness", "cell_size_mm": 10.0, "order": 1}
+    anatomy.synthesize(home, **options)  # type: ignore[arg-type]
+    (patient,) = read_participants(home / "participants.csv")
+    assert patient.identifier == "sub-01" and patient.others["arm"] == "thickness"
+    bundle, targets = load(patient.paths["bundle"]), read_targets(patient.paths["targets"])
+    scene = load_scene(patient.paths["scene"])
+    assert Path(scene.anatomy.bundle) == patient.paths["bundle"] and bundle.order == 1 == scene.numerics.order
+    truth = json.loads((home / "sub-01" / "truth.json").read_text())
+    errors = (targets.mean - [truth["features"][name] for name in targets.names]) / targets.sd
+    assert np.abs(errors).max() < 4 and np.abs(errors).min() > 0  # seven draws of a normal
+    sd = dict(zip(targets.names, targets.sd, strict=True))
+    assert sd["d_roof_mm"] == 0.35 and sd["esv_ml"] == pytest.approx(0.01 * truth["features"]["edv_ml"])
+    truths = pd.read_csv(home / "truths.csv")
+    assert truths.loc[0, "alpha_roof"] == parameters_of(1, "thickness")["alpha_roof"]
+    assert not (home / "sub-01" / "truth_bundle").exists()  # what is calibrated knows nothing of it
+    written = (home / "sub-01" / "targets.toml").stat().st_mtime_ns
+    anatomy.synthesize(home, **options)  # type: ignore[arg-type]
+    assert (home / "sub-01" / "targets.toml").stat().st_mtime_ns == written
+    with pytest.raises(AnatomyError, match="another arm"):
+        anatomy.synthesize(home, **{**options, "arm": "control"})  # type: ignore[arg-type]

@@ -1,0 +1,85 @@
+"""The synthetic cycle: parameters within the study's ranges, a scene that goes up and down again, places spread out."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lacli.base.errors import AnatomyError
+from lacli.contracts.parameters import parameter_box
+from lacli.mechanics.plan import pressure_kpa
+from lacli.synthetic import cycle, gated, gated_case
+from lacli.synthetic.atrium_folder import _finished
+
+BOX = parameter_box()
+
+
+def test_every_seed_s_patient_is_within_the_ranges_and_its_own() -> None:
+    found = [cycle.draw_parameters(seed) for seed in range(30)]
+    assert found[3] == cycle.draw_parameters(3)
+    assert len({json.dumps(p) for p in found}) == 30
+    for parameters in found:
+        for name, value in parameters.items():
+            low, high = BOX[name]
+            assert low < value < high, name
+    alpha = np.array([[p[f"alpha_{r}"] for r in ("anterior", "posterior", "septum", "lateral", "roof")] for p in found])
+    assert (np.ptp(np.log(alpha), axis=1) > 0.05).all(), "stiffness differs between regions"
+
+
+def test_the_cycle_s_pressure_rises_to_end_systole_and_returns(tmp_path: Path) -> None:
+    parameters = cycle.draw_parameters(1)
+    scene = cycle.cycle_scene(tmp_path / "la", parameters, 0.4, 1)
+    assert scene.numerics.order == 1 and scene.outputs.conduit
+    mmhg = [pressure_kpa(scene, None, t) / 0.133322 for t in np.linspace(0.0, 1.0, 101)]
+    assert mmhg[0] == pytest.approx(parameters["edp_mmhg"], rel=1e-3) and mmhg[-1] == pytest.approx(mmhg[0], rel=1e-3)
+    assert max(mmhg) == pytest.approx(parameters["esp_mmhg"], rel=1e-3)
+    assert int(np.argmax(mmhg)) == 40
+    assert min(mmhg) > 0
+
+
+def test_points_spread_over_a_box() -> None:
+    grid = cycle._box(np.zeros(3), np.ones(3), 0.25)
+    assert len(grid) == 5**3 - 3**3
+    chosen = cycle.farthest_points(grid, 8)
+    assert len(set(chosen.tolist())) == 8
+    apart = np.linalg.norm(grid[chosen][:, None] - grid[chosen][None], axis=2) + 9.0 * np.eye(8)
+    assert apart.min() >= 0.7 and apart[0, 1] == pytest.approx(np.sqrt(3.0)), "the second is the opposite corner"
+    assert len(cycle.farthest_points(grid[:3], 8)) == 3
+
+
+def test_spline_weights_reproduce_cubics() -> None:
+    index = np.array([3.25, 4.5, 6.75])
+    weights = cycle._spline_weights(12, index)
+    values = np.arange(12.0) ** 2 - 3.0 * np.arange(12.0)
+    assert np.asarray(weights @ values).ravel() == pytest.approx(index**2 - 3.0 * index, abs=0.05)
+    outside = cycle._spline_weights(12, np.array([-1.0, 12.5]))
+    assert np.abs(np.asarray(outside @ values)).max() == 0.0
+
+
+def test_texture_has_its_strength_whatever_the_voxels() -> None:
+    for spacing in (1.0, 0.6):
+        made = gated.texture((40, 40, 40), np.full(3, spacing), np.random.default_rng(0))
+        assert made.shape == (40, 40, 40)
+        assert made.std() == pytest.approx(gated.TEXTURE_HU, rel=0.25)
+    assert abs(float(np.corrcoef(made[:-1].ravel(), made[1:].ravel())[0, 1])) > 0.5, "lumps, not white noise"
+
+
+def test_a_folder_of_something_else_is_never_replaced(tmp_path: Path) -> None:
+    assert gated_case.finished(tmp_path / "new", {"seed": 1}) is None
+    assert _finished(tmp_path / "new", {"seed": 1}) is None
+    for finished in (gated_case.finished, _finished):
+        place = tmp_path / finished.__module__
+        place.mkdir()
+        assert finished(place, {"seed": 1}) is None, "empty"
+        (place / "mine.txt").write_text("of the user's")
+        with pytest.raises(AnatomyError, match="choose another folder or remove it"):
+            finished(place, {"seed": 1})
+        assert (place / "mine.txt").exists()
+    (tmp_path / "p").mkdir()
+    (tmp_path / "p" / gated_case.DESCRIPTION).write_text('{"seed": 1, "options": {"voxel_mm": 1.0}}')
+    assert gated_case.finished(tmp_path / "p", {"seed": 1}) is not None
+    with pytest.raises(AnatomyError, match="made from other options"):
+        gated_case.finished(tmp_path / "p", {"seed": 2})
