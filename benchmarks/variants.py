@@ -1,6 +1,6 @@
 """Scores the naming of synthetic atria in all their forms, without meshing: right, doubted, silently wrong.
 
-Run: python benchmarks/variants.py [--seeds 25] [--only WORD]     whole bundles: python benchmarks/atria.py --synthetic N
+Run: python benchmarks/variants.py [--first 1] [--seeds 25] [--only WORD]; whole bundles: atria.py --synthetic N
 
 Right: each opening of the file has its name, within 10 mm of its centre, with the confidence that `lacli mesh` asks for. Each
 atrium is named again with every vein left out in turn: there anything but a refusal is silently wrong.
@@ -62,6 +62,7 @@ def verdict(truth: dict[str, Any], everything: list[Candidate]) -> str:
 def main() -> None:
     """All variants, counts each."""
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--first", type=int, default=1, help="the first seed, so that a run can be done in pieces")
     parser.add_argument("--seeds", type=int, default=25)
     parser.add_argument("--only", default="", help="files whose name holds this word")
     asked = parser.parse_args()
@@ -69,7 +70,7 @@ def main() -> None:
     count: dict[str, Counter[str]] = defaultdict(Counter)
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
-        write(folder, range(1, asked.seeds + 1), asked.only)
+        write(folder, range(asked.first, asked.first + asked.seeds), asked.only)
         for truth in json.loads((folder / "truth.json").read_text()):
             kind = truth["file"].split("_")[0]
             mesh = anything.read(folder / truth["file"])

@@ -29,7 +29,7 @@ COLOURS = {
 }
 FURTHER = "#c9a400"
 FACING = -0.15  # cosine to the camera from which on an opening's name is written
-SIDE_PIXELS = 560
+SIDE_PIXELS, SMALL_PIXELS = 560, 440  # of one view: of a bundle, and of several readings at once
 
 Draw = Callable[[Any], None]
 
@@ -123,7 +123,8 @@ def _grid(file: Path, points: FloatArray, rows: Sequence[tuple[str, Mapping[str,
     import pyvista as pv
 
     deep = 4 // columns
-    window = (SIDE_PIXELS * columns, SIDE_PIXELS * deep * len(rows))
+    side = SIDE_PIXELS if len(rows) == 1 else SMALL_PIXELS
+    window = (side * columns, side * deep * len(rows))
     plotter = pv.Plotter(off_screen=True, shape=(deep * len(rows), columns), window_size=window, border=False)
     middle = (points.max(axis=0) + points.min(axis=0)) / 2
     reach = float(np.linalg.norm(np.ptp(points, axis=0)) / 2)
@@ -134,8 +135,10 @@ def _grid(file: Path, points: FloatArray, rows: Sequence[tuple[str, Mapping[str,
             plotter.set_background("white")
             draw(plotter)
             _mark(plotter, openings, direction)
-            text = f"{title}\n{words}" if k == 0 else words
-            plotter.add_text(text, font_size=10, color="black", position=(0.02, 0.91 if k == 0 else 0.95), viewport=True)
+            lines = [title, words] if k == 0 else [words]
+            for line, text in enumerate(lines):
+                height = 0.94 - 0.05 * line
+                plotter.add_text(text, font_size=10, color="black", position=(0.02, height), viewport=True, name=f"line {line}")
             plotter.enable_parallel_projection()
             plotter.camera.focal_point = middle
             plotter.camera.position = middle + 5 * reach * direction

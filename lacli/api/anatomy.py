@@ -70,6 +70,7 @@ def mesh(
     from lacli.anatomy.build import Options
     from lacli.anatomy.inputs.meshes import meshfile
     from lacli.base.files import check_folder
+    from lacli.base.threads import one_thread
 
     own = None if fibres in meshing.FIBRE_RULES else Path(fibres)
     rule = fibres if own is None else meshing.FIBRE_RULES[0]
@@ -80,11 +81,11 @@ def mesh(
     own_fibres = None if own is None else meshfile.read_fibres(own)
     start = time.process_time()
     stage = Stage("reading", meshing.STEPS, progress, cancel).begin()
-    with meshing.naming(source), meshing.explaining(folder):
+    with meshing.naming(source), meshing.explaining(folder), one_thread():
         built = meshing.built_from(source, la, lv, wall, options, landmarks, frame, unit, stage.next, labels, preset)
     if own_fibres is not None:
         built = replace(built, bundle=replace(built.bundle, fibre=meshfile.carry_fibres(built.bundle, *own_fibres)))
-    with meshing.storing(folder):
+    with meshing.storing(folder), one_thread():
         bundle, report = meshing.save(source, folder, built, options, also, start, str(own or fibres))
     drawn, trouble = meshing.draw(folder) if figures else ([], "")
     return Meshing(folder, bundle, report, tuple(drawn), (trouble,) if trouble else ())

@@ -49,6 +49,8 @@ class Branch:
         """Unit direction out of the body at the ostium (3,)."""
         after = self.centreline[self.ostium : self.ostium + 6]
         line = (after[-1] - self.centreline[max(0, self.ostium - 1)]) if len(after) > 1 else self.tip - self.centre
+        if np.linalg.norm(line) < 1e-6:  # it turns back on itself there
+            line = self.tip - self.centre
         return line / max(float(np.linalg.norm(line)), 1e-12)
 
     @property

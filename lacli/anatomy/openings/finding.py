@@ -22,6 +22,7 @@ from lacli.geometry.surface import Surface
 KEPT_STUB_MM = 12.0  # a vessel whose rim is no farther than that from its ostium ends at the rim, a longer one is cut
 GUESSED = 0.5  # confidence in names that rest on a guess, or on a reading that no atrium of the 23 measured comes near
 HOLE_MM = 6.0  # an unnamed rim narrower than that is a hole, a wider one a further vein
+VESSEL = 1.7  # of its rim's diameter: what is wider inside is the body, what is narrower no section of it
 AT_RIM = 0.8  # a branch that ends within that many diameters of a rim is the rim's vessel
 
 
@@ -166,24 +167,26 @@ def _parted(trunk: Candidate, names: tuple[str, str], openings: dict[str, Openin
 def at_ostia(seen: Sequence[Candidate], skeleton: Skeleton, cast: ostium.RadiusAt, ring_mm: float) -> list[Candidate]:
     """The candidates, rims at the end of long vessels put at those vessels' ostia: there they are named, and cut.
 
-    Where a rim is no farther than KEPT_STUB_MM from the ostium it stays what it is.
+    Where a rim is no farther than KEPT_STUB_MM from the ostium, or the section there is no vessel's, it stays what it is.
     """
-    moved = []
-    for candidate in seen:
-        longer = [b for b in skeleton.branches if b.length_mm > KEPT_STUB_MM and _gap(b, candidate) < AT_RIM]
-        if candidate.source == RIM and candidate.cap and candidate.said != "mv" and longer:
-            branch = min(longer, key=lambda b: _gap(b, candidate))
-            cut = ostium.of_branch("", branch, 0.0, cast, ring_mm)
-            if np.linalg.norm(cut.centre - candidate.centre) > KEPT_STUB_MM:
-                area = np.pi * cut.diameter_mm**2 / 4
-                half = ostium.across(cut.normal) * cut.diameter_mm / 2
-                length = float(np.linalg.norm(cut.centre - candidate.centre))
-                candidate = replace(
-                    candidate, centre=cut.centre, direction=cut.normal, area_mm2=area, half_axis=half, length_mm=length,
-                    tip=candidate.centre, cap=0,
-                )  # fmt: skip
-        moved.append(candidate)
-    return moved
+    return [_at_ostium(c, skeleton, cast, ring_mm) if c.source == RIM and c.cap and c.said != "mv" else c for c in seen]
+
+
+def _at_ostium(rim: Candidate, skeleton: Skeleton, cast: ostium.RadiusAt, ring_mm: float) -> Candidate:
+    ends = [(float(np.linalg.norm(b.tip - rim.centre)), b) for b in skeleton.branches if b.length_mm > KEPT_STUB_MM]
+    ends = [(gap, b) for gap, b in ends if gap < AT_RIM * max(rim.diameter_mm, 1.0)]
+    if not ends:
+        return rim
+    branch = min(ends, key=lambda one: one[0])[1]
+    cut = ostium.of_branch("", branch, 0.0, cast, ring_mm)
+    length = float(np.linalg.norm(cut.centre - rim.centre))
+    wider = cut.diameter_mm / max(rim.diameter_mm, 1e-6)
+    if not (KEPT_STUB_MM < length < branch.length_mm + KEPT_STUB_MM and 1.0 / VESSEL < wider < VESSEL):
+        return rim
+    half = ostium.across(cut.normal) * cut.diameter_mm / 2
+    area = np.pi * cut.diameter_mm**2 / 4
+    return replace(rim, centre=cut.centre, direction=cut.normal, area_mm2=area, half_axis=half, length_mm=length,
+                   tip=rim.centre, cap=0)  # fmt: skip
 
 
 def gather(

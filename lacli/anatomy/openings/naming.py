@@ -30,7 +30,8 @@ PAIR_OVER_WIDTH = (0.55, 0.12)  # distance in a pair / between the pairs: at mos
 PAIR_APART = (0.31, 0.07)  # the same, at least 0.31
 RIGHT_OVER_LEFT = (0.33, 0.15)  # ln(distance of the right pair from the valve / of the left): ln 1.02 - ln 1.79
 SUPERIOR = (1.0, 0.35)  # cosine of a pair's direction with left x up: 0.66 - 1
-TWIST = (0.6, 0.3)  # angle between the two sides' superior directions, rad: 7 - 56 degrees
+TWIST = (0.55, 0.22)  # angle between the two sides' superior directions, rad: 7 - 56 degrees, 3.9 sd being the range of 23
+LEANS = 0.6  # the same angle from which on what is named LSPV may be an appendage
 APPENDAGE = (0.0, 0.12)  # (|e - LSPV| + up(e - LSPV) - superior(e - LSPV)) / width: -0.2 - 0 but for one, hand-made
 APPENDAGE_TERM = 6.0
 NO_APPENDAGE = 1.5
@@ -117,7 +118,7 @@ def assign(candidates: Sequence[Candidate], axes: Axes | None) -> Naming | None:
 def _leans(candidates: Sequence[Candidate], best: Reading) -> bool:
     """Whether what is named LSPV, no appendage beside it, leans forward as an appendage does where that vein is missing.
 
-    The two sides' superior directions then differ by more than TWIST's plain range; in a mirror image, where superior and
+    The two sides' superior directions then differ by more than LEANS; in a mirror image, where superior and
     inferior are exchanged, no reading of the others says so.
     """
     if best.missing or best.trunk is not None or "appendage" in best.names or candidates[best.names["lspv"]].said:
@@ -125,7 +126,7 @@ def _leans(candidates: Sequence[Candidate], best: Reading) -> bool:
     if any(c.source == BRANCH and c.diameter_mm > POUCH * candidates[best.names["lspv"]].diameter_mm for c in candidates):
         return False
     rs, ri, ls, li = (candidates[best.names[n]].centre for n in VEINS)
-    return bool(np.arccos(np.clip(_dot(_unit(rs - ri), _unit(ls - li)), -1.0, 1.0)) > TWIST[0])
+    return bool(np.arccos(np.clip(_dot(_unit(rs - ri), _unit(ls - li)), -1.0, 1.0)) > LEANS)
 
 
 def _whole(candidates: Sequence[Candidate], chosen: list[int], axes: Axes | None) -> list[Reading]:

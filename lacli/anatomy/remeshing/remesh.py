@@ -11,10 +11,11 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from lacli.anatomy.remeshing import bends
 from lacli.anatomy.remeshing.collapse import collapse
 from lacli.anatomy.remeshing.projection import Reference, border_edges
 from lacli.anatomy.remeshing.workmesh import BORDER, CORNER, Asked, WorkMesh, project, turned
-from lacli.base.arrays import FloatArray
+from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import AnatomyError
 from lacli.contracts.labels import is_plane
 from lacli.geometry.surface import Surface, check, compact
@@ -82,6 +83,14 @@ def keep_volume(surface: Surface, volume_ml: float) -> Surface:
 
 
 def _size_field(surface: Surface, size: float) -> Asked:
+    """Asked edge length at points: ``size``, less near rims too short for it, and where the wall bends too tightly for it."""
+    rims, bent = _near_rims(surface, size), bends.limits(surface, size)
+    if bent is None:
+        return rims
+    return lambda points: np.minimum(rims(points), bent(points))
+
+
+def _near_rims(surface: Surface, size: float) -> Asked:
     """Asked edge length at points: ``size``, less near rims too short for it."""
     planes = border_edges(surface.triangles, np.where(is_plane(surface.label), surface.label, 0))
     if len(planes) == 0:
@@ -213,7 +222,7 @@ def _relax(mesh: WorkMesh, reference: Reference) -> None:
     step = np.where((mesh.kind == BORDER)[:, None], along - mesh.points, step)
     step[mesh.kind == CORNER] = 0.0
     old = mesh.points.copy()
-    before = shape_quality(old[mesh.triangles])
+    before, long_before = shape_quality(old[mesh.triangles]), _longest(old, mesh.triangles)
     factor = np.full(n, 0.7)
     for _ in range(4):
         mesh.points = old + factor[:, None] * step
@@ -223,8 +232,17 @@ def _relax(mesh: WorkMesh, reference: Reference) -> None:
         bad = turned(mesh, moved, np.arange(len(mesh.triangles)))
         quality = shape_quality(moved[mesh.triangles])
         bad |= (quality < 0.1) & (quality < 0.9 * before)
+        # a point that was put on another side of a fold: its edges are far longer than before
+        after = _longest(moved, mesh.triangles)
+        bad |= (after > 1.4 * mesh.size[mesh.triangles].mean(axis=1)) & (after > 1.02 * long_before)
         if not bad.any():
             mesh.points = moved
             return
         factor[np.unique(mesh.triangles[bad])] *= 0.0
     mesh.points = old
+
+
+def _longest(points: FloatArray, triangles: IntArray) -> FloatArray:
+    """Longest side (t,) mm of each triangle."""
+    corner = points[triangles]
+    return np.asarray(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1))

@@ -9,11 +9,10 @@ import numpy as np
 
 from lacli.anatomy.coordinates.frame import unit
 from lacli.anatomy.remeshing.projection import Reference, border_edges, side_of
-from lacli.anatomy.wall.polish import polish
+from lacli.anatomy.wall.polish import layer_quality, polish
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.geometry.prisms import shorter_diagonals, split_prisms
 from lacli.geometry.surface import Surface, unique_edges
-from lacli.geometry.tetrahedra import scaled_jacobian
 
 MAX_MITRE = 1.7
 NORMAL_SMOOTHING_MM = 1.5
@@ -40,8 +39,10 @@ def offset_surface(
     thickness: Callable[[FloatArray], FloatArray],
     outer: Surface | None,
     curved: bool,
+    layers: int = 1,
 ) -> Offset:
-    """Offset of the remeshed ``surface`` (edges (e, 2) in unique_edges' order) by ``thickness(points)`` mm.
+    """Offset of the remeshed ``surface`` (edges (e, 2) in unique_edges' order) by ``thickness(points)`` mm,
+    to be cut in ``layers`` of cells.
 
     Directions are the reference's smoothed normals; a rim's points go along the bisector of wall and plane, longer by the
     mitre. A vector is shortened until its end is as far from the cavity as it should be (it is not where two
@@ -53,7 +54,7 @@ def offset_surface(
     if outer is not None:
         nominal = _reach(surface.points, nominal, outer, sides)
     vector = _clear(surface.points, nominal, reference, asked)
-    vector, starts = _untangle(surface, edges, vector)
+    vector, starts = _untangle(surface, edges, vector, layers)
     length, wanted = np.linalg.norm(vector, axis=1), np.linalg.norm(nominal, axis=1)
     ratio = length / wanted
     turned = np.einsum("ij,ij->i", vector, nominal) / (length * wanted) < 0.999
@@ -129,13 +130,13 @@ def _clear(points: FloatArray, vector: FloatArray, reference: Reference, thickne
     return scale[:, None] * vector
 
 
-def _untangle(surface: Surface, edges: IntArray, vector: FloatArray) -> tuple[FloatArray, np.ndarray]:
+def _untangle(surface: Surface, edges: IntArray, vector: FloatArray, layers: int) -> tuple[FloatArray, np.ndarray]:
     """Vectors evened out with their neighbours' where the cells between are poor, and shortened where that is not enough."""
     n = len(surface.points)
     bottom, top = surface.triangles, surface.triangles + n
     _, of_triangle = unique_edges(bottom)
     degree = np.maximum(np.bincount(edges.ravel(), minlength=n), 1)[:, None]
-    height = np.linalg.norm(vector, axis=1)
+    height = np.linalg.norm(vector, axis=1) / layers
     starts = np.zeros(bottom.shape, dtype=bool)
     best, best_score = (vector, starts, np.zeros(3 * len(bottom))), -np.inf
     on_rim = np.zeros(n, dtype=bool)
@@ -143,7 +144,7 @@ def _untangle(surface: Surface, edges: IntArray, vector: FloatArray) -> tuple[Fl
     for step in range(40):
         starts = shorter_diagonals(surface.points, vector, bottom, edges, of_triangle)
         tets = split_prisms(bottom, top, starts)
-        quality = scaled_jacobian(np.vstack([surface.points, surface.points + vector]), tets)
+        quality = layer_quality(surface.points, vector, tets, layers)
         # a flat wall on long cells is poor by its proportions alone: ask for less there
         span = np.sqrt(np.repeat(surface.areas(), 3) * 2.3)
         fair = np.minimum(GOOD, 0.55 * np.repeat(height[bottom].mean(axis=1), 3) / span)
@@ -170,7 +171,7 @@ def _untangle(surface: Surface, edges: IntArray, vector: FloatArray) -> tuple[Fl
             goal[np.unique(tets[quality < 0.05] % n)] *= 0.93
         vector = mixed * (goal / np.maximum(size, 1e-12))[:, None]
     vector, starts, fair = best
-    return polish(surface.points, vector, bottom, starts, fair * 1.02), starts
+    return polish(surface.points, vector, bottom, starts, fair * 1.02, layers), starts
 
 
 def _worst_seen(surface: Surface, vector: FloatArray) -> FloatArray:

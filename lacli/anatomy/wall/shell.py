@@ -84,8 +84,8 @@ def mesh_shell(
         weight = 1.0 / (distance + 1e-6)
         return (weight * thickness[near]).sum(axis=1) / weight.sum(axis=1)
 
-    off = offset_surface(surface, edges, reference, asked, outer, curved=order == 2)
     count = layers or max(1, round(float(np.median(thickness)) / cell_size_mm))
+    off = offset_surface(surface, edges, reference, asked, outer, order == 2, count)
     return _assemble(surface, edges, off, count, order)
 
 
