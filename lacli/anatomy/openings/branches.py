@@ -16,6 +16,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from lacli.anatomy.inputs.image import Image
 from lacli.base.arrays import BoolArray, FloatArray
+from lacli.base.errors import AnatomyError
 
 STEP_MM = 1.0
 NECK_WINDOW_MM = 5.0
@@ -69,8 +70,10 @@ class Skeleton:
 
 
 def find(field: Image, least_length_mm: float = 5.0) -> Skeleton:
-    """Branches of the pool ``field > 0.5`` on an isotropic grid of about 1 mm."""
+    """Branches of the pool ``field > 0.5`` on an isotropic grid of about 1 mm. Raises AnatomyError where there is none."""
     inside = field.array > 0.5
+    if not inside.any():
+        raise AnatomyError("the surface encloses no volume (it is flat, or thinner than a millimetre): no left atrium's.")
     parts, count = ndimage.label(inside)
     if count > 1:
         inside = parts == 1 + int(np.argmax(np.bincount(parts.ravel())[1:]))

@@ -100,3 +100,15 @@ def test_a_ct_without_fat_leaves_no_folder(labels: Path, tmp_path: Path) -> None
     error = refused(f"fat {tmp_path}/ct.nrrd --labels {labels} --la 2 --out {tmp_path}/fat")
     assert isinstance(error, AnatomyError) and str(error).startswith(f"{tmp_path}/ct.nrrd: no fat within 5 mm")
     assert not (tmp_path / "fat").exists()
+
+
+@pytest.mark.parametrize("triangles", [1, 50])
+def test_a_flat_surface_is_no_atrium(triangles: int, tmp_path: Path) -> None:
+    import pyvista as pv
+
+    one = pv.PolyData(np.array([[0.0, 0, 0], [60, 0, 0], [0, 60, 0]]), [3, 0, 1, 2])
+    flat = one if triangles == 1 else pv.Plane(i_size=60, j_size=60, i_resolution=5, j_resolution=5).triangulate()
+    flat.save(tmp_path / "s.vtp")
+    error = refused(f"mesh {tmp_path / 's.vtp'} --out {tmp_path / 'out'} --no-pictures")
+    assert isinstance(error, AnatomyError) and "encloses no volume" in str(error)
+    assert [path.name for path in tmp_path.iterdir()] == ["s.vtp"]
