@@ -18,7 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from lacli.calibration.sequential.calibration import Sequential, Settings, Status, calibrate_sequentially
+from lacli.calibration.sequential.calibration import calibrate_sequentially
+from lacli.calibration.sequential.result import Sequential
+from lacli.calibration.sequential.search import Settings, Status
 from lacli.calibration.simulator import SceneSimulator, simulator
 from lacli.cli.terminal.console import err, print_json, print_table
 from lacli.contracts import bundle as bundles
@@ -103,7 +105,8 @@ def one(run: SceneSimulator, box: Box, names: tuple[str, ...], number: int, fold
     within = inside(found, truth)
     return {
         "truth": number, "runs to the MAP": found.map_runs, "runs in all": found.runs, "failed runs": found.failed,
-        "chi2": found.misfit, "targets": len(names), "largest sd of alpha": max(alpha), "inside": sum(within), "of": box.d,
+        "chi2": found.misfit, "targets": len(names), "left out": len(found.left_out),
+        "largest sd of alpha": max(alpha), "inside": sum(within), "of": box.d,
         "outside": [name for name, good in zip(box.names, within, strict=True) if not good], "wall minutes": minutes,
         "cpu minutes": found.cpu_s / 60.0, "change": float(found.change.max()), "held out": found.held_out,
         "modes": len(found.minima), "elsewhere": found.sweep.elsewhere, "stages": found.stages, "refused": found.refused,

@@ -1,6 +1,6 @@
 """What a user sees when something goes wrong: a mishap is arranged, a command run, message and aftermath judged.
 
-python benchmarks/robustness.py [--shots 100] [--seed 0] [--only-shots] [--record FILE] [--json]
+python benchmarks/robustness.py [--shots 100] [--seed 0] [--only-shots] [--record FILE] [--place FOLDER] [--json]
 (the full disk needs root, else it is left out)
 
 Asked: one clear message, exit code 1 or 2, no traceback, nothing lost or half-written, the same features when run again.
@@ -224,6 +224,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only-shots", action="store_true", help="leave the other mishaps out")
     parser.add_argument("--record", type=Path, help="shots as they land, a line each; started again, these are not shot again")
+    parser.add_argument("--place", type=Path, help="where what is shot at is made; kept, for another call")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     # started in the background, Ctrl-C is ignored, and that would be passed on
@@ -236,8 +237,9 @@ def main() -> None:
             sources: list[Callable[[Place], Iterator[Verdict]]] = [bad_input, mishaps]
             verdicts += [verdict for source in sources for verdict in source(place)]
         if options.shots:
-            (Path(folder) / "range").mkdir()
-            verdicts += volley(Path(folder) / "range", options.shots, options.seed, options.record)
+            place_of_shots = options.place or Path(folder) / "range"
+            place_of_shots.mkdir(parents=True, exist_ok=True)
+            verdicts += volley(place_of_shots, options.shots, options.seed, options.record)
     if options.json:
         print_json([vars(verdict) for verdict in verdicts])
     else:

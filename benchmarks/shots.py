@@ -79,21 +79,22 @@ class Shot:
 
 
 class Range:
-    """A folder with a scene, a store of finished runs and the undisturbed products of every command."""
+    """A folder with a scene, a store of finished runs and the undisturbed products of every command; made once."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder
+        self.folder, self.scene = folder, folder / "scene.toml"
+        self.cache, self.seed = folder / "cache", folder / "seed"
+        if (folder / "ready").is_file():
+            return
         bundle, motion = synthesize(1, cell_size_mm=8.0)
         save(bundle, folder / "la")
         save_motion(motion, folder / "la")
-        self.scene = folder / "scene.toml"
         self.scene.write_text(SCENE.format(bundle="la"))
         self._tables()
         label = [*LACLI, "synthesize", str(folder / "syn"), "--cell-size-mm", "8", "--image", "--voxel-mm", "2"]
         subprocess.run(label, check=True, capture_output=True)
-        self.cache = folder / "cache"
-        self.seed = folder / "seed"
         self._runs()
+        (folder / "ready").touch()
 
     def _tables(self) -> None:
         """Runs and targets for a calibration that makes no run itself."""

@@ -73,13 +73,42 @@ def from_labels(
 ) -> Built:
     """Bundle from a label map; ``la``, ``lv``: labels of the left atrium's and ventricle's blood, ``wall``: of its wall,
     ``vessels``: of veins and appendage, where they have labels of their own (label -> opening, or candidate.VEIN)."""
-    say("finding the blood pool")
     vessels = {} if vessels is None else vessels
-    said = labelled.candidates(labels, la, vessels)
     hint = labelled.unnamed(labels, la, {la, *vessels, *(k for k in (lv, wall) if k is not None)})
+    try:
+        return _of_labels(labels, la, lv, wall, vessels, options, given, say, [])
+    except finding.OpeningsError as error:
+        if not hint:
+            raise
+        some = f"label{'s' * (len(hint) > 1)} {', '.join(str(k) for k in hint)}"
+        if vessels:
+            words = f"{error} {some.capitalize()} touch the atrium: if they are its veins or its appendage, say so"
+            raise finding.OpeningsError(f"{words} (--labels la={la},laa=...,pv=...).", error.readings, error.surface) from error
+    # small labels that touch an atrium which lacks openings: its vessels, if they can be named as such
+    note = f"{some} touch the atrium and were taken as its vessels (--labels says what they are)"
+    try:
+        return _of_labels(labels, la, lv, wall, dict.fromkeys(hint, ""), options, given, say, [note])
+    except finding.OpeningsError as error:
+        words = f"{error} {some.capitalize()} touch the atrium and were taken as its vessels: say what they are"
+        raise finding.OpeningsError(f"{words} (--labels la={la},laa=...,pv=...).", error.readings, error.surface) from error
+
+
+def _of_labels(
+    labels: Image,
+    la: int,
+    lv: int | None,
+    wall: int | None,
+    vessels: Mapping[int, str],
+    options: Options,
+    given: Landmarks | None,
+    say: Say,
+    notes: list[str],
+) -> Built:
+    say("finding the blood pool")
+    said = labelled.candidates(labels, la, vessels)
     labels = labelled.joined(labels, la, vessels)
     pool = extraction.blood_pool(labels, la)
-    notes = list(pool.notes)
+    notes = [*notes, *pool.notes]
     say("smoothing")
     grid = float(np.clip(0.4 * options.cell_size_mm, 0.4, 0.8))
     surface = extraction.surface_of(pool.mask, options.smoothing_mm, grid)
@@ -88,14 +117,7 @@ def from_labels(
     if lv is not None and contact is None:
         notes.append(f"label {lv} does not touch the atrium: the mitral plane is found from the shape")
     outer = None if wall is None else outer_surface(labels, la, wall, surface, options, notes)
-    try:
-        return _from_closed(surface, [*seen, *said], LPS, options, given, say, notes, pool.mask, outer)
-    except finding.OpeningsError as error:
-        if not hint:
-            raise
-        listing = ", ".join(str(k) for k in hint)
-        words = f"{error} Label{'s' * (len(hint) > 1)} {listing} touch the atrium: if they are its veins or its appendage, say so"
-        raise finding.OpeningsError(f"{words} (--labels la={la},laa=...,rspv=..., or pv=...).", error.readings) from error
+    return _from_closed(surface, [*seen, *said], LPS, options, given, say, notes, pool.mask, outer)
 
 
 def outer_surface(labels: Image, la: int, wall: int, inner: Surface, options: Options, notes: list[str]) -> Surface:

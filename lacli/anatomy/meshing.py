@@ -77,7 +77,11 @@ def explaining(folder: Path) -> Iterator[None]:
             landmarks.write(error.readings[0][1], file)
         drawn = draw_readings(error.surface, error.readings, picture)
         words = f"What was found is drawn in {picture} and written to {file}" if drawn else f"What was found is written to {file}"
-        raise OpeningsError(f"{error} {words}: correct that file and give it back with --landmarks.", error.readings) from error
+        raise OpeningsError(
+            f"{error} {words}: correct that file and give it back with --landmarks (what "
+            "is right there needs confirmed = true; what is neither confirmed nor changed is found anew).",
+            error.readings,
+        ) from error
 
 
 @contextmanager

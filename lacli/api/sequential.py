@@ -11,7 +11,8 @@ from lacli.api.progress import Cancel, OnProgress, Stage
 from lacli.base.errors import UsageError
 
 if TYPE_CHECKING:
-    from lacli.calibration.sequential.calibration import Sequential, Settings, Status
+    from lacli.calibration.sequential.result import Sequential
+    from lacli.calibration.sequential.search import Settings, Status
     from lacli.contracts.scene import Scene
     from lacli.contracts.targets import Targets
     from lacli.inference.box import Box
@@ -62,7 +63,8 @@ def seek(
     """
     from lacli.base.files import check_folder, superseded
     from lacli.calibration.calibration import obstacle
-    from lacli.calibration.sequential.calibration import Settings, calibrate_sequentially, sequential_identity
+    from lacli.calibration.sequential.calibration import calibrate_sequentially, sequential_identity
+    from lacli.calibration.sequential.search import Settings
     from lacli.calibration.simulator import simulator
     from lacli.contracts.identity import settle
     from lacli.inference.box import published_box

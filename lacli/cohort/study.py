@@ -1,7 +1,8 @@
 """A study on disk: a folder a patient, a step done once and found again by the content of all that it read.
 
 ``STUDY/<participant_id>/steps/<step>.json`` is written when a step has ended well; ``<step>.log`` has what it said. A step whose
-inputs or options have changed since is refused, never mixed. What goes wrong with a patient is that patient's, with its reason.
+inputs, options, method or product have changed since is refused, never mixed. What goes wrong with a patient is that patient's,
+with its reason.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from lacli.base.documents import read_json
+from lacli.base.documents import read_json, read_toml
 from lacli.base.errors import Cancelled, InputError, StorageError, UsageError
 from lacli.base.files import write_json
 from lacli.base.processes.locks import lock
@@ -21,6 +22,7 @@ from lacli.base.processes.process import supervise, while_wanted
 from lacli.base.version import __version__
 from lacli.cohort.participants import Participant
 from lacli.cohort.steps import Step
+from lacli.contracts.identity import METHODS, content_hash, solver_digest
 
 _TIMEOUT_S = 30 * 86_400.0
 _BLOCK = 1 << 20
@@ -106,20 +108,46 @@ def _is_done(step: Step, folder: Path) -> bool:
     known = read_json(mark)
     if not isinstance(known, dict) or not step.product.exists():
         return False
-    if known.get("arguments") != list(step.arguments):
-        raise UsageError(
-            f"{folder}: {step.name} was done with other options; choose another --out, or remove {mark} and its results."
-        )
-    changed = [name for name, digest in _digests(step).items() if known.get("reads", {}).get(name) != digest]
-    if changed:
-        raise UsageError(
-            f"{folder}: {step.name} was done from another {changed[0]}; choose another --out, or remove {mark} and its results."
-        )
+    if why := _otherwise(step, known):
+        raise UsageError(f"{folder}: {step.name} was {why}; choose another --out, or remove {mark} and its results.")
     return True
 
 
+def _otherwise(step: Step, known: dict[str, object]) -> str:
+    """How what is kept of a step was done otherwise than it would be now, in words; '' where it is the same."""
+    if known.get("arguments") != list(step.arguments):
+        return "done with other options"
+    reads = known.get("reads")
+    if changed := [n for n, digest in _digests(step).items() if not isinstance(reads, dict) or reads.get(n) != digest]:
+        return f"done from another {changed[0]}"
+    if known.get("method") != (method := _method(step)):
+        return f"done by another version ({known.get('method', 'it does not say which')}; this is {method})"
+    if known.get("product") != content_digest(step.product):
+        return f"done, but its {step.product.name} was changed since"
+    return ""
+
+
+def _method(step: Step) -> str:
+    """What carries a step out: this version, its methods, and FreeFEM's scripts where it runs them."""
+    scripts = solver_digest() if step.name == "calibrate" else ""
+    return f"lacli {__version__}, methods {content_hash({**METHODS, 'scripts': scripts})[:8]}"
+
+
 def _digests(step: Step) -> dict[str, str]:
-    return {str(path): content_digest(path) for path in step.reads}
+    """Digests of all that a step reads: its files, and those that these name."""
+    return {str(path): content_digest(path) for file in step.reads for path in (file, *_named(file))}
+
+
+def _named(file: Path) -> list[Path]:
+    """The covariance that a file of targets names."""
+    if file.suffix != ".toml" or not file.is_file():
+        return []
+    try:
+        name = read_toml(file).get("covariance")
+    except InputError:
+        return []  # whoever reads it says so
+    beside = file.parent / name if isinstance(name, str) and name and Path(name).name == name else None
+    return [beside] if beside is not None and beside.is_file() else []
 
 
 def content_digest(path: Path) -> str:
@@ -159,6 +187,7 @@ def _do(step: Step, folder: Path, wanted: Callable[[], bool]) -> None:
         "reads": before,
         "cpu_s": ended.cpu_s,
         "wall_s": ended.wall_s,
-        "lacli": __version__,
+        "method": _method(step),
+        "product": content_digest(step.product),
     }
     write_json(_mark(step, folder), content)

@@ -10,6 +10,7 @@ from typing import Any
 import meshio
 import numpy as np
 
+from lacli.base import vtkxml
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.documents import read_json
 from lacli.base.errors import AnatomyError
@@ -128,6 +129,13 @@ def load(folder: Path) -> Bundle:
     info = read_json(info_file, error=AnatomyError)
     if not isinstance(info, dict):
         raise AnatomyError(f"{info_file}: the bundle cannot be read, it must hold a table of names and values. Write it again.")
+    for file in (wall_file, boundary_file):
+        try:
+            vtkxml.check(file)
+        except (vtkxml.UnfitError, OSError) as error:
+            raise AnatomyError(
+                f"{folder}: the bundle cannot be read, {file.name} is damaged ({error}). Write it again."
+            ) from None
     try:
         with quiet(meshio=True):
             wall = meshio.vtu.read(wall_file)  # meshio.read ends the whole program on a damaged file

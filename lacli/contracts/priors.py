@@ -51,6 +51,19 @@ class Prior:
             value = -0.5 * ((log - centre) / spread) ** 2 - log
         return np.where(inside, value, -np.inf)
 
+    def residual(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """r (m,) and dr/dx (m,) at x (m,) within the ends, with -1/2 r^2 the log density up to a constant.
+
+        Of a log-normal -1/2 ((l - c) / s)^2 - l, l = log x, is a square too: of (l - c + s^2) / s.
+        Raises ValueError of a uniform one.
+        """
+        if self.distribution == "uniform":
+            raise ValueError("a uniform prior has no residual")
+        if self.distribution == "normal":
+            return (x - self.mean) / self.sd, np.full(len(x), 1.0 / self.sd)
+        centre, spread = self._of_the_logarithm()
+        return (np.log(x) - centre + spread**2) / spread, 1.0 / (spread * x)
+
     def share(self, low: float, high: float) -> float:
         """Probability of values from low to high, of the distribution that is not cut off (of a uniform one: where it is)."""
         from scipy.stats import norm

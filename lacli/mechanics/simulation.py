@@ -10,6 +10,7 @@ from typing import Any
 from lacli.base.documents import read_json
 from lacli.base.errors import InputError, SimulationError, SolverMissingError, StorageError, UsageError
 from lacli.base.files import check_folder, write_json, write_text
+from lacli.base.notes import note
 from lacli.contracts.case import Case
 from lacli.contracts.identity import run_key
 from lacli.contracts.scene import Scene, load_scene
@@ -45,6 +46,8 @@ def run_scene(scene: Scene, root: Path, on_progress: OnProgress | None = None) -
     """
     case = prepare(scene)
     with open_run(root, case.key, solver=_solver()) as run:
+        if run.stored is not None and (words := of_another_engine(run.stored, scene)):
+            note(words)
         if run.stored is None:
             written = deck.write(case, run.folder)
             outcome = deck.run(written, on_progress)
@@ -59,6 +62,20 @@ def _solver() -> str | None:
         return find().version
     except SolverMissingError:
         return None
+
+
+def of_another_engine(stored: StoredRun, scene: Scene) -> str:
+    """What to say of a stored run that the script made where the compiled engine may be expected; '' where there is nothing.
+
+    Both are one result: their features agree to 13 digits (``benchmarks/engines.py``), less than what makes a run another, but
+    the script tells no sensitivities, and whoever compares two tables digit by digit should know.
+    """
+    if stored.manifest.get("engine") != "script" or scene.numerics.engine != "auto":
+        return ""
+    return (
+        f"run {stored.key} was made by the script engine, and is shown as it was: the compiled one gives the same to 13 digits."
+        " Set numerics.engine = 'plugin' to have it made by that."
+    )
 
 
 def _result(stored: StoredRun, case: Case) -> RunResult:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from lacli.base import vtkxml
 from lacli.base.arrays import FloatArray
 from lacli.base.documents import read_json
 from lacli.base.errors import LacliError
@@ -115,9 +116,7 @@ def _shade(axes: Any, phases: dict[str, float]) -> None:
 
 
 def _series(folder: Path) -> list[Any]:
-    import pyvista as pv
-
-    return [pv.read(path) for path in sorted((folder / "frames").glob("frame_*.vtp"))]
+    return [vtkxml.read(path) for path in sorted((folder / "frames").glob("frame_*.vtp"))]
 
 
 def _es_frame(folder: Path) -> int:

@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from lacli.base import vtkxml
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import InputError
 from lacli.base.files import replacing
@@ -177,12 +178,7 @@ def shape_figure(ed_file: Path, es_file: Path, picture: Path) -> Path:
 
 
 def _read_shape(file: Path) -> Any:
-    import pyvista as pv
-
-    try:
-        shape = pv.read(file)
-    except Exception as error:  # readers raise all sorts of things on damaged files
-        raise InputError(f"{file}: cannot be read ({error}).") from error
+    shape = vtkxml.read(file, remedy="Run the scene again.")
     if "region" not in shape.cell_data:
         raise InputError(f"{file}: the cell array 'region' is missing.")
     return shape

@@ -10,7 +10,7 @@ from lacli.api.sequential import _unknown_errors
 from lacli.calibration.sequential import emulator
 from lacli.calibration.sequential.change import expected_change
 from lacli.calibration.sequential.descent import levenberg, lowest
-from lacli.calibration.sequential.laplace import Laplace, spread_out
+from lacli.calibration.sequential.laplace import Laplace
 from lacli.calibration.sequential.scale import Scale
 from lacli.calibration.simulator import times_of
 from lacli.contracts.targets import Targets
@@ -37,23 +37,31 @@ def test_the_scale_s_slope_is_its_derivative() -> None:
     assert scale.to_x(np.array([[0.0, 1.0]])).tolist() == [[0.1, 3.0]]
 
 
-def test_the_kernel_s_blocks_are_derivatives_of_its_values() -> None:
-    lengths, h = np.array([0.4, 0.9]), 1e-4
-    a, b = np.array([[0.3, 0.7]]), np.array([[0.5, 0.2]])
-    all_, none = np.ones(1, bool), np.zeros(1, bool)
-    k = emulator._kernel(a, all_, b, all_, lengths)
+def test_the_likelihood_s_gradient_is_its_derivative() -> None:
+    z, y, jacobian = runs(9)
+    told = np.arange(9) != 4  # one run tells no derivatives
+    rows = emulator.Rows.of(z, told)
+    moving = rows.observations(y[:, :3], jacobian[:, :3])
+    for kind in ("squared_exponential", "matern52"):
+        theta = np.log([0.7, 0.5, 1.4, 1e-4])
+        _, gradient = emulator.cost(theta, rows, moving, kind)
+        for i in range(4):
+            h = 1e-5 * np.eye(4)[i]
+            up, down = (emulator.cost(theta + sign * h, rows, moving, kind)[0] for sign in (1, -1))
+            assert gradient[i] == pytest.approx((up - down) / 2e-5, rel=1e-4, abs=1e-3)
 
-    def value(p: np.ndarray, q: np.ndarray) -> float:
-        return float(emulator._kernel(p, none, q, none, lengths)[0, 0])
 
-    for i in range(2):
-        e = h * np.eye(2)[i : i + 1]
-        assert k[0, 1 + i] == pytest.approx((value(a, b + e) - value(a, b - e)) / (2 * h), rel=1e-6)
-        assert k[1 + i, 0] == pytest.approx((value(a + e, b) - value(a - e, b)) / (2 * h), rel=1e-6)
-        for j in range(2):
-            f = h * np.eye(2)[j : j + 1]
-            mixed = value(a + e, b + f) - value(a + e, b - f) - value(a - e, b + f) + value(a - e, b - f)
-            assert k[1 + i, 1 + j] == pytest.approx(mixed / (4 * h * h), rel=1e-5, abs=1e-6)
+def test_fewer_components_have_the_same_misfit() -> None:
+    z, y, jacobian = runs(15)
+    # ten more outputs, linear in the inputs: with those before, 22 of which 10 never leave their trend
+    linear = np.random.default_rng(5).standard_normal((3, 10))
+    y, jacobian = np.hstack([y, z @ linear]), np.concatenate([jacobian, np.tile(linear.T, (15, 1, 1))], axis=1)
+    fitted = emulator.fit(z, 20.0 * (y - y[0]), 20.0 * jacobian)
+    there = np.random.default_rng(3).random((40, 3))
+    whole, few = fitted.predict(there), fitted.reduced().predict(there)
+    assert few[0].shape[1] < whole[0].shape[1]
+    assert (few[0] ** 2).sum(1) == pytest.approx((whole[0] ** 2).sum(1), rel=1e-3)
+    assert few[1].sum(1) == pytest.approx(whole[1].sum(1), rel=1e-2, abs=1e-4)
 
 
 def test_an_emulator_with_derivatives_is_far_better_than_its_values_alone() -> None:
@@ -132,13 +140,6 @@ def test_draws_of_a_truncated_gaussian_have_its_moments() -> None:
     end = Laplace(np.array([0.0, 0.5]), np.diag([100.0, 100.0])).draw(4000, 1.0, np.random.default_rng(0))
     assert end.min() >= 0.0
     assert end[:, 0].mean() == pytest.approx(0.1 * np.sqrt(2.0 / np.pi), abs=0.004)
-
-
-def test_points_are_spread_out_and_away_from_those_known() -> None:
-    candidates = np.array([[0.0, 0.0], [0.01, 0.0], [1.0, 0.0], [0.5, 0.5]])
-    chosen = spread_out(candidates, 2, Laplace(np.zeros(2), np.eye(2)), np.array([[0.0, 0.0]]))
-    # farthest from the origin first, then the middle (.71 from both)
-    assert chosen.tolist() == [[1.0, 0.0], [0.5, 0.5]]
 
 
 def test_a_scene_s_frames_are_at_its_targets_times() -> None:

@@ -22,7 +22,7 @@ from lacli.contracts.failures import MACHINE
 from lacli.contracts.identity import run_key
 from lacli.contracts.scene import Scene, dump_scene, load_scene
 from lacli.mechanics import store
-from lacli.mechanics.store import find_run, list_runs, open_run
+from lacli.mechanics.store import StoredRun, find_run, list_runs, open_run
 
 SceneOf = Callable[..., Scene]
 
@@ -326,3 +326,35 @@ def test_locks_of_killed_processes_are_swept(scene_of: SceneOf, tmp_path: Path) 
     (tmp_path / ".locks" / "0123456789abcdef").write_text("4194304 here\n")
     finished(tmp_path, scene_of())
     assert not list((tmp_path / ".locks").iterdir())
+
+
+@pytest.mark.parametrize(
+    ("made", "asked", "told"),
+    [("script", "auto", True), ("plugin", "auto", False), ("script", "script", False), (None, "auto", False)],
+)
+def test_a_run_of_the_other_engine_is_one_result_and_told(scene_of: SceneOf, made: str | None, asked: str, told: bool) -> None:
+    from lacli.mechanics.simulation import of_another_engine
+
+    scene = scene_of(f"numerics.engine={asked}")
+    words = of_another_engine(StoredRun("k", Path("k"), {"engine": made} if made else {}), scene)
+    assert ("made by the script engine" in words) == told
+
+
+def test_another_engine_asked_for_by_name_is_another_run(scene_of: SceneOf) -> None:
+    keys = {run_key(scene_of(f"numerics.engine={name}")) for name in ("auto", "plugin", "script")}
+    assert len(keys) == 3
+
+
+def test_a_run_of_another_freefem_is_made_again_with_a_word(
+    scene_of: SceneOf, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with open_run(tmp_path, "k", solver="4.15") as run:
+        (run.folder / "features.json").write_text("{}")
+        run.finish(versions={"freefem": "4.15"})
+    with open_run(tmp_path, "k", solver="4.15") as run:
+        assert run.stored is not None
+    with open_run(tmp_path, "k", solver=None) as run:
+        assert run.stored is not None, "without FreeFEM, what there is can be looked at"
+    with open_run(tmp_path, "k", solver="4.16") as run:
+        assert run.stored is None
+    assert "made with FreeFEM 4.15, this is 4.16; the run is made again" in caplog.text

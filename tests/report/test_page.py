@@ -194,7 +194,7 @@ def test_the_viewer_s_data(run: Path) -> None:
     with pytest.raises(OtherAnatomyError, match="mm apart"):
         atrium(es, (ball + 9, np.full(len(ball), 2.0)), {})
     es.write_bytes(es.read_bytes()[:200])
-    with pytest.raises(InputError, match="cannot be drawn"):
+    with pytest.raises(InputError, match="cannot be read"):
         atrium(es, None, {})
 
 

@@ -20,23 +20,28 @@ NAMES = ("la", "lv", "wall", *VESSELS)
 LEAST_ML = 0.02  # of a piece of a vessel's label: smaller ones are specks
 LEAST_CONTACT_MM2 = 12.0  # of a vessel with the atrium
 
-# label numbers as the sets' own documentation has them; "+" where two labels are one thing
+# label numbers as the sets' own sources have them; "+" where two labels are one thing
 PRESETS = {
+    # github.com/wasserth/TotalSegmentator, totalsegmentator/map_to_binary.py: class_map["heartchambers_highres"], ["total"]
     "totalsegmentator": (
         "la=2,lv=3,laa=61,pv=53",
         "heartchambers_highres (2, 3), with labels 61 and 53 of the task total (version 2) written into the same map",
     ),
+    # the same file: class_map["total_v1"]
+    "totalsegmentator-1": ("la=45,lv=46", "task total of version 1: heart_atrium_left and heart_ventricle_left"),
+    # github.com/CemrgApp: four-chamber scripts (create_myo.py) and HeartLabels
     "four-chamber": (
         "la=4,lv=1,wall=104,laa=12,pv=8+9+10+11",
         "CemrgApp's four-chamber pipeline (LA_BP_label 4, LPV1 - RPV2 8 - 11, LAA 12, LA_myo_label 104)",
     ),
+    # MM-WHS 2017 (Zhuang and Shen 2016), and the same numbers in its successor WHS++ (CARE 2024, track 5)
     "mmwhs": ("la=420,lv=500", "MM-WHS challenge, blood of left atrium (veins and appendage in it) and ventricle"),
 }
 
 
 @dataclass(frozen=True)
 class Meaning:
-    """Labels of the atrium's blood, the ventricle's and the atrial wall, and of vessels: label -> opening, or VEIN."""
+    """Labels of the atrium's blood, the ventricle's and the atrial wall, and of vessels: label -> opening, VEIN, or "" (any)."""
 
     la: int | None = None
     lv: int | None = None
@@ -82,7 +87,9 @@ def joined(labels: Image, la: int, vessels: Mapping[int, str]) -> Image:
     """The map with all vessels' labels as the atrium's blood. Raises AnatomyError where one has no voxel."""
     for value in vessels:
         if not (labels.array == value).any():
-            raise AnatomyError(f"label {value} ({vessels[value]}) has no voxel in the image; leave it out of --labels.")
+            raise AnatomyError(
+                f"label {value} ({vessels[value] or 'vessel'}) has no voxel in the image; leave it out of --labels."
+            )
     return labels.with_array(np.where(np.isin(labels.array, list(vessels)), la, labels.array)) if vessels else labels
 
 
@@ -99,7 +106,7 @@ def candidates(labels: Image, la: int, vessels: Mapping[int, str]) -> list[Candi
         pieces = [p for p in pieces if p.sum() * labels.voxel_ml >= LEAST_ML]
         meetings = [m for piece in pieces for m in _meetings(piece, piece & beside)]
         made = [c for piece, contact in meetings if (c := _of_contact(labels, piece, contact, said)) is not None]
-        if said != VEIN:
+        if said not in (VEIN, ""):
             made = sorted(made, key=lambda c: -c.area_mm2)[:1]
         found += made
     return found

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import ndimage
 
 from lacli.anatomy.inputs.image import Image
-from lacli.anatomy.openings import branches, naming, ostium
+from lacli.anatomy.openings import branches, closed_valve, naming, ostium, refusals
 from lacli.anatomy.openings.branches import Branch, Skeleton
 from lacli.anatomy.openings.candidate import BRANCH, CAP, CONTACT, GIVEN, GUESS, PATCH, RIM, Candidate, halves, place
 from lacli.anatomy.openings.landmarks import Axes, Landmarks, Opening, override
@@ -60,54 +60,73 @@ def find(
     """
     given = None if given is None else at_caps(given, seen)
     if given is not None and set(OPENINGS) - {"appendage"} <= set(given.openings):
-        return Found(given)
+        return Found(replace(given, notes=(*given.notes, *against_shape(given, axes))))
     from lacli.anatomy.inputs.voxels import voxel_field
 
     field = voxel_field(surface, 1.0) if field is None else field
     skeleton = branches.find(field)
-    everything, branch_of = gather(surface, seen, skeleton, given)
-    named = naming.assign(everything, axes)
+    cast = ray_caster(field)
+    everything, branch_of = gather(surface, at_ostia(seen, skeleton, cast, ring_mm), skeleton, given)
+    flat = False  # whether the valve is a flat patch at a likely place
+    if everything and everything[-1].source == GUESS:
+        patch = everything.pop()
+        named, valve = closed_valve.name(surface, everything, patch, axes)
+        flat = valve.centre is patch.centre and not patch.said
+        everything.append(valve)
+    else:
+        named = naming.assign(everything, axes)
+
+    def cuts(reading: naming.Reading, confidence: float) -> dict[str, Opening]:
+        """Where the openings of a reading are cut; what was given is cut where it was given."""
+        openings = {n: _opening(n, everything[i], branch_of.get(i), confidence, cast, ring_mm) for n, i in reading.names.items()}
+        if reading.trunk is not None:
+            openings |= _parted(everything[reading.names[reading.trunk[0]]], reading.trunk, openings)
+        return openings
+
+    def refusal(words: str) -> OpeningsError:
+        return OpeningsError(words, refusals.readings(everything, named, cuts, given), surface)
+
     if named is None or (len(everything) < 5 and named.best.trunk is None):
-        raise OpeningsError(too_few(everything), readings(everything, named), surface)
+        raise refusal(refusals.too_few(everything))
     if named.best.missing:
-        raise OpeningsError(without(named.best, everything), readings(everything, named), surface)
+        raise refusal(refusals.without(named.best, everything))
     notes: list[str] = []
     valve = everything[named.best.names["mv"]]
-    words = doubts(everything, named)
+    words = refusals.doubts(everything, named)
     if valve.source == GUESS:
-        guess = f"the mitral valve is closed in the file and was placed by the shape alone ({valve.words()})"
-        # without axes, opposite the veins, or where the veins contradict it: all names would follow from a guess
-        if axes is None or valve.said or named.best.cost > naming.MOST_COST:
-            named = replace(named, confidence=min(named.confidence, GUESSED))
-            words = (
-                f"{guess}; all names would follow from it. Give [mv] in landmarks.toml (centre, normal out of the "
-                "atrium, mm), or the ventricle's label with --lv, or go on with --accept-low-confidence."
-            )
+        certain = named.confidence >= naming.LEAST_CONFIDENCE and named.best.cost <= naming.MOST_COST
+        words = (
+            "the mitral valve is closed in the file, and its place cannot be told from the shape; it may be at "
+            f"{place(valve.centre)}. Give [mv] in landmarks.toml (centre, normal out of the atrium, mm), or the ventricle's "
+            f"label with --lv, or take that place with --accept-low-confidence. {refusals.veins(everything, named, certain)}"
+        )
+        if flat and certain and axes is not None:
+            notes.append(f"the mitral valve is closed in the file: taken as its flat patch ({valve.words()}); look at it")
         else:
-            notes.append(f"{guess}: look at it, and correct it in landmarks.toml")
+            named = replace(named, confidence=min(named.confidence, GUESSED))
     if named.best.cost > naming.MOST_COST:
         named = replace(named, confidence=min(named.confidence, GUESSED))
-        words = words if valve.source == GUESS else doubts(everything, named)
+        words = words if valve.source == GUESS else refusals.doubts(everything, named)
     if named.confidence < naming.LEAST_CONFIDENCE:
         if not accept_low_confidence:
-            raise OpeningsError(words, readings(everything, named), surface)
+            raise refusal(words)
         notes.append(words)
     if named.best.mirrored:
         notes.append(
             "the atrium is a mirror image (left and right are exchanged): its openings are named as in a mirror; "
             "look for a flipped axis in the tool that wrote it"
         )
-    cast = ray_caster(field)
-    openings: dict[str, Opening] = {}
-    for name, i in named.best.names.items():
-        openings[name] = _opening(name, everything[i], branch_of.get(i), named.confidence, cast, ring_mm)
+    openings = cuts(named.best, named.confidence)
     if named.best.trunk is not None:
-        openings |= _parted(everything[named.best.names[named.best.trunk[0]]], named.best.trunk, openings)
         notes.append(
             f"{named.best.trunk[0].upper()} and {named.best.trunk[1].upper()} leave by a common trunk "
             f"({everything[named.best.names[named.best.trunk[0]]].words()}); a carina parts its opening in two"
         )
     openings |= _further(everything, branch_of, named, openings, cast, ring_mm, notes)
+    if valve.source == GUESS:
+        openings["mv"] = replace(openings["mv"], confidence=GUESSED, confirmed=False)
+    if named.confidence < naming.LEAST_CONFIDENCE:
+        openings = {n: replace(o, confirmed=False) for n, o in openings.items()}
     if "appendage" not in openings:
         notes.append(
             "no appendage was found; its ring and plane are left out. If the file has an open one and lacks the LSPV, the LSPV "
@@ -144,6 +163,29 @@ def _parted(trunk: Candidate, names: tuple[str, str], openings: dict[str, Openin
     return parted
 
 
+def at_ostia(seen: Sequence[Candidate], skeleton: Skeleton, cast: ostium.RadiusAt, ring_mm: float) -> list[Candidate]:
+    """The candidates, rims at the end of long vessels put at those vessels' ostia: there they are named, and cut.
+
+    Where a rim is no farther than KEPT_STUB_MM from the ostium it stays what it is.
+    """
+    moved = []
+    for candidate in seen:
+        longer = [b for b in skeleton.branches if b.length_mm > KEPT_STUB_MM and _gap(b, candidate) < AT_RIM]
+        if candidate.source == RIM and candidate.cap and candidate.said != "mv" and longer:
+            branch = min(longer, key=lambda b: _gap(b, candidate))
+            cut = ostium.of_branch("", branch, 0.0, cast, ring_mm)
+            if np.linalg.norm(cut.centre - candidate.centre) > KEPT_STUB_MM:
+                area = np.pi * cut.diameter_mm**2 / 4
+                half = ostium.across(cut.normal) * cut.diameter_mm / 2
+                length = float(np.linalg.norm(cut.centre - candidate.centre))
+                candidate = replace(
+                    candidate, centre=cut.centre, direction=cut.normal, area_mm2=area, half_axis=half, length_mm=length,
+                    tip=candidate.centre, cap=0,
+                )  # fmt: skip
+        moved.append(candidate)
+    return moved
+
+
 def gather(
     surface: Surface, seen: Sequence[Candidate], skeleton: Skeleton, given: Landmarks | None
 ) -> tuple[list[Candidate], dict[int, Branch]]:
@@ -177,7 +219,8 @@ def _replaced(
     """Without the candidate that a given opening stands for: the nearest, within its own diameter or 10 mm."""
     if not everything:
         return everything, branch_of
-    gap = [float(np.linalg.norm(c.centre - opening.centre)) for c in everything]
+    places = [[c.centre] if c.tip is None else [c.centre, c.tip] for c in everything]  # of a long vessel, either end
+    gap = [min(float(np.linalg.norm(p - opening.centre)) for p in both) for both in places]
     at = int(np.argmin(gap))
     if opening.cap and everything[at].cap == opening.cap:
         return [replace(c, said=name) if k == at else c for k, c in enumerate(everything)], branch_of
@@ -193,8 +236,9 @@ def _gap(branch: Branch, candidate: Candidate) -> float:
 
 
 def _of_opening(opening: Opening) -> Candidate:
-    area = np.pi * max(opening.diameter_mm, 1.0) ** 2 / 4
-    across = ostium.across(opening.normal) * opening.diameter_mm / 2
+    width = opening.diameter_mm or (30.0 if opening.name == "mv" else 12.0)  # given without: a usual one
+    area = np.pi * width**2 / 4
+    across = ostium.across(opening.normal) * width / 2
     said = "mv" if opening.confidence <= 0.2 or opening.source != "largest flat patch" else ""
     return Candidate(opening.centre, opening.normal, area, CAP, across, tip=opening.beyond, said=said)
 
@@ -255,67 +299,27 @@ def _further(
     return found
 
 
-def readings(everything: Sequence[Candidate], named: naming.Naming | None) -> list[tuple[str, Landmarks]]:
-    """Title and landmarks of the likeliest readings (two at most); candidates without a name where there is none."""
-    if named is None:
+def against_shape(given: Landmarks, axes: Axes | None) -> list[str]:
+    """What speaks against names that were all given, in words: openings that lie to each other as in no atrium, or as others
+    with confidence would be named."""
+    if any(o.shares for o in given.openings.values()):
+        return []
+    mine = {n: o for n, o in given.openings.items() if n in OPENINGS}
+    candidates = [replace(_of_opening(o), source=GIVEN, said="") for o in mine.values()]
+    order = list(mine)
+    as_said = naming.assign([replace(c, said=n) for c, n in zip(candidates, order, strict=True)], axes)
+    plain = naming.assign(candidates, axes)
+    if as_said is None or plain is None:
+        return []
+    best = {n: order[i] for n, i in plain.best.names.items()}
+    other = [f"{n.upper()} where {best[n].upper()} is given" for n in OPENINGS if n in best and best[n] != n]
+    if plain.confidence >= naming.LEAST_CONFIDENCE and not plain.best.missing and plain.best.trunk is None and other:
         return [
-            ("found, without names", Landmarks({f"extra{k + 1}": _sketch(f"extra{k + 1}", c) for k, c in enumerate(everything)}))
+            f"the names given contradict the shape (confidence {plain.confidence:.2f}), which says {', '.join(other)}: check them"
         ]
-    found = []
-    for title, reading in (("first reading", named.best), ("second reading", named.second)):
-        if reading is None:
-            continue
-        openings = {n: _sketch(n, everything[i]) for n, i in reading.names.items()}
-        if reading.trunk is not None:
-            one, two = halves(everything[reading.names[reading.trunk[0]]])
-            openings |= {n: _sketch(n, c) for n, c in zip(reading.trunk, (one, two), strict=True)}
-        words = f"{title}: {reading.missing.upper()} is missing" if reading.missing else title
-        found.append((words, Landmarks(openings)))
-    return found
-
-
-def _sketch(name: str, candidate: Candidate) -> Opening:
-    beyond = candidate.centre + 2.0 * candidate.direction if candidate.tip is None else candidate.tip
-    return Opening(name, candidate.centre, candidate.direction, beyond, candidate.diameter_mm, 0.0, candidate.source)
-
-
-def too_few(everything: Sequence[Candidate]) -> str:
-    """What is there, what is missing, and what to give."""
-    listing = "; ".join(c.words() for c in everything) or "none"
-    return (
-        f"only {len(everything)} opening{'s' * (len(everything) != 1)} found ({listing}); the mitral valve and four veins are "
-        "needed. Include at least 5 mm of each vein, or give the missing in landmarks.toml (centre, normal out of the atrium)."
-    )
-
-
-def without(best: naming.Reading, everything: Sequence[Candidate]) -> str:
-    """Which vein is missing, and what to give."""
-    name = best.missing
-    mate = f"{name[0]}{'i' if name[1] == 's' else 's'}pv"
-    there = "; ".join(f"{n.upper()}: {everything[i].words()}" for n, i in best.names.items())
-    return (
-        f"only one vein was found on the {'left' if name[0] == 'l' else 'right'}, {name.upper()} is missing ({there}): either it "
-        f"is not in the file, or it shares a common trunk with {mate.upper()}. Include 5 mm of each vein beyond the trunk, or "
-        f"give the ostium ([{name}]: centre, normal out of the atrium, mm) in landmarks.toml."
-    )
-
-
-def doubts(everything: Sequence[Candidate], named: naming.Naming) -> str:
-    """The two readings that compete, in words."""
-    best, second = named.best, named.second
-    if second is None:
-        return ""
-    parts = []
-    for name in OPENINGS:
-        a, b = best.names.get(name), second.names.get(name)
-        if a != b or ((best.trunk is not None) != (second.trunk is not None) and a is not None and name in (best.trunk or ())):
-            there = [place(everything[k].centre) if k is not None else "none" for k in (a, b)]
-            parts.append(f"{name.upper()} at {there[0]} or {there[1]}")
-    return (
-        f"the names of the openings are not certain (confidence {named.confidence:.2f}, {naming.LEAST_CONFIDENCE:g} is asked): "
-        f"{', '.join(parts) or 'a common trunk or two veins'}. Look at these places, give the true ones in landmarks.toml "
-        "(--landmarks), or take the first reading with --accept-low-confidence."
-    )
+    if as_said.best.cost > naming.MOST_COST:
+        return ["the openings given lie to each other as in no atrium that was measured: check their places and names"]
+    return []
 
 
 def ray_caster(field: Image, reach_mm: float = 25.0, step_mm: float = 0.25) -> Callable[[FloatArray, FloatArray], FloatArray]:

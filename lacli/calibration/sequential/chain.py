@@ -40,6 +40,7 @@ class _Outputs:
 
 def density(components: Components, scale: Scale) -> Density:
     """The posterior's: residuals are 0 +- 1 where the run is the truth, their components too, and independent."""
+    components = components.reduced()
     p = len(components.variance)
     targets = Targets(tuple(f"component {k + 1}" for k in range(p)), np.zeros(p), np.ones(p))
     return Density(cast(EmulatorSet, _Outputs(components, scale)), targets, Region(scale.box))

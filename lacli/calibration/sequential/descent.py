@@ -126,6 +126,13 @@ def advance(evidence: Evidence, incumbents: list[Incumbent], tried: list[Trial])
     return after
 
 
+def kept(evidence: Evidence, incumbents: list[Incumbent]) -> list[Incumbent]:
+    """The incumbents, those whose run is no longer in the evidence moved to the nearest that is."""
+    told = np.flatnonzero(evidence.told)
+    nearest = [told[int(np.argmin(np.abs(evidence.z[told] - i.z).max(1)))] for i in incumbents]
+    return [replace(i, z=evidence.z[row]) for i, row in zip(incumbents, nearest, strict=True)]
+
+
 def emulate(evidence: Evidence, earlier: Components | None) -> Components | None:
     """The emulator of all runs; None where they are still too few."""
     if evidence.told.sum() < 3:

@@ -10,20 +10,29 @@ from scipy.linalg import solve_triangular
 from lacli.base.arrays import BoolArray, FloatArray
 from lacli.base.errors import LacliError
 from lacli.calibration.sequential.scale import Scale
+from lacli.contracts.priors import check_priors
 from lacli.contracts.targets import Targets
+from lacli.inference.box import Box, make_box
 from lacli.inference.runs import STATUS, RunLog
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Finished runs: x, z (n, d) their inputs; residual (n, p) = L^-1 (f - target), L L' the targets' covariance; jacobian
-    (n, p, d) = d residual / dz, NaN where a run tells no derivatives; failed (k, d): z of runs that failed."""
+    """Finished runs: x, z (n, d) their inputs; residual (n, p + q) = L^-1 (f - target), L L' the targets' covariance, followed by
+    those of q priors; jacobian (n, p + q, d) = d residual / dz, NaN where a run tells no derivatives; failed (k, d): z of runs
+    that failed; targets: p."""
 
     x: FloatArray
     z: FloatArray
     residual: FloatArray
     jacobian: FloatArray
     failed: FloatArray
+    targets: int
+
+    @property
+    def chi2(self) -> FloatArray:
+        """Of the targets alone (n,), without the priors."""
+        return np.asarray((self.residual[:, : self.targets] ** 2).sum(1))
 
     @property
     def told(self) -> BoolArray:
@@ -32,12 +41,12 @@ class Evidence:
 
     @property
     def misfit(self) -> FloatArray:
-        """chi^2 (n,) of each run: its squared residual, summed."""
+        """chi^2 (n,) of each run: its squared residual, summed; -2 log posterior, up to a constant."""
         return np.asarray((self.residual**2).sum(1))
 
     def take(self, rows: FloatArray | list[int] | BoolArray) -> Evidence:
         """Some of the runs."""
-        return Evidence(self.x[rows], self.z[rows], self.residual[rows], self.jacobian[rows], self.failed)
+        return Evidence(self.x[rows], self.z[rows], self.residual[rows], self.jacobian[rows], self.failed, self.targets)
 
 
 def factor(targets: Targets) -> FloatArray:
@@ -65,4 +74,31 @@ def gather(log: RunLog, x: FloatArray, targets: Targets, scale: Scale) -> Eviden
     for row, slope in zip(jacobian, slopes, strict=True):
         if np.isfinite(slope).all():
             row[:] = solve_triangular(whitening, slope.T, lower=True)
-    return Evidence(x_done, scale.to_z(x_done), residual, jacobian, scale.to_z(x[~done]))
+    of_priors, slopes_of_priors = _prior_rows(targets, x_done, scale)
+    told = np.isfinite(jacobian).all((1, 2))
+    slopes_of_priors[~told] = np.nan
+    return Evidence(
+        x_done, scale.to_z(x_done), np.hstack([residual, of_priors]), np.concatenate([jacobian, slopes_of_priors], axis=1),
+        scale.to_z(x[~done]), len(targets.names),
+    )  # fmt: skip
+
+
+def narrowed(box: Box, targets: Targets) -> Box:
+    """The box within the ends at which priors are cut off. Raises UsageError for a prior of no input, or outside of the box."""
+    check_priors(targets.priors, box.names, box.lower, box.upper)
+    lower, upper = box.lower.copy(), box.upper.copy()
+    for prior in targets.priors or ():
+        i = box.names.index(prior.name)
+        lower[i], upper[i] = max(lower[i], prior.lower), min(upper[i], prior.upper)
+    return make_box(box.names, lower.tolist(), upper.tolist())
+
+
+def _prior_rows(targets: Targets, x: FloatArray, scale: Scale) -> tuple[FloatArray, FloatArray]:
+    """Residuals (n, q) of the priors that are not uniform, and their derivatives by z (n, q, d)."""
+    shaped = [prior for prior in targets.priors or () if prior.distribution != "uniform"]
+    residual, jacobian = np.zeros((len(x), len(shaped))), np.zeros((len(x), len(shaped), scale.box.d))
+    for k, prior in enumerate(shaped):
+        i = scale.box.names.index(prior.name)
+        residual[:, k], slope = prior.residual(x[:, i])
+        jacobian[:, k, i] = slope * scale.slope(x)[:, i]
+    return residual, jacobian

@@ -46,17 +46,3 @@ class Laplace:
                 level = low + rng.random(count) * (high - low)
                 z[:, i] = np.clip(mean + sd[i] * ndtri(np.clip(level, 1e-12, 1.0 - 1e-12)), 0.0, 1.0)
         return z
-
-
-def spread_out(candidates: FloatArray, count: int, laplace: Laplace, known: FloatArray) -> FloatArray:
-    """``count`` of the candidates, each as far as can be from those before and from the known points (k, d): maximin in the
-    metric of the Gaussian."""
-    root = np.linalg.cholesky(laplace.precision).T
-    at, there = candidates @ root.T, known @ root.T
-    distance = np.min(((at[:, None] - there[None]) ** 2).sum(2), axis=1) if len(known) else np.full(len(at), np.inf)
-    chosen: list[int] = []
-    for _ in range(min(count, len(candidates))):
-        i = int(np.argmax(distance))
-        chosen.append(i)
-        distance = np.minimum(distance, ((at - at[i]) ** 2).sum(1))
-    return candidates[chosen]

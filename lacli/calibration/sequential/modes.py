@@ -51,6 +51,7 @@ class Sweep:
 def sweep(components: Components, known: list[Laplace], best: float, seed: int) -> Sweep:
     """Rule out; ``best``: chi^2 of the best run, ``known``: the modes found."""
     d = components.z.shape[1]
+    components = components.reduced()
     z = qmc.Sobol(d, rng=np.random.default_rng(seed)).random(_POINTS)
     cutoff = best + float(chi2.isf(_LEVEL, d))
     optimistic, expected = _misfits(components, z)
@@ -82,7 +83,12 @@ def same_valley(components: Components, known: list[Laplace], z: FloatArray) -> 
 
 
 def _misfits(components: Components, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """chi^2 with the emulator's errors in the point's favour, and chi^2 with them added to the measurement's; both (m,)."""
+    """chi^2 with the emulator's errors in the point's favour, and chi^2 with them added to the measurement's; both (m,).
+
+    Of two bounds the sharper: all components at once in favour, each by so many standard deviations; and so many of chi^2's own,
+    whose mean and variance are sum(c^2 + V) and sum(4 c^2 V + 2 V^2): where many components err, they do not err alike.
+    """
     mean, variance = components.predict(z)
-    favourable = np.maximum(np.abs(mean) - _FAVOUR * np.sqrt(variance), 0.0)
-    return (favourable**2).sum(1), (mean**2 / (1.0 + variance)).sum(1)
+    each = (np.maximum(np.abs(mean) - _FAVOUR * np.sqrt(variance), 0.0) ** 2).sum(1)
+    size, spread = (mean**2 + variance).sum(1), (4.0 * mean**2 * variance + 2.0 * variance**2).sum(1)
+    return np.maximum(each, size - _FAVOUR * np.sqrt(spread)), (mean**2 / (1.0 + variance)).sum(1)

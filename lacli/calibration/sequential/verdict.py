@@ -8,8 +8,6 @@ from scipy.stats import chi2, qmc
 from lacli.calibration.sequential.emulator import Components
 from lacli.calibration.sequential.evidence import Evidence, factor
 from lacli.contracts.targets import Targets
-from lacli.inference.box import Box
-from lacli.inference.sampling import posterior as mcmc
 
 _REJECTED = 1e-4  # of a chi-square in the targets less the inputs: a misfit as improbable is no answer
 _REACH, _SWEEP = 3.0, 1 << 12  # standard deviations within which a target is reached, somewhere of so many points
@@ -21,7 +19,7 @@ def verdict(evidence: Evidence, components: Components, targets: Targets, misfit
         return ""
     off = f"chi^2 is {misfit:.0f} where {freedom} is expected"
     # each target alone, in its own sds: residuals taken back from L and from the components' axes
-    alone = (factor(targets) / targets.sd[:, None]) @ components.rotation
+    alone = (factor(targets) / targets.sd[:, None]) @ components.rotation[: evidence.targets]
     z = qmc.Sobol(components.z.shape[1], rng=np.random.default_rng(0)).random(_SWEEP)
     mean, variance = components.predict(np.vstack([z, evidence.z]))
     least = np.maximum(np.abs(mean @ alone.T) - _REACH * np.sqrt(variance @ (alone**2).T), 0.0).min(0)
@@ -31,7 +29,7 @@ def verdict(evidence: Evidence, components: Components, targets: Targets, misfit
             f"{off}: nowhere in the box does the model come within {_REACH:g} standard deviations of {names}. "
             "No parameter reaches these targets: check their units and standard deviations, or widen the box."
         )
-    told = (evidence.residual[int(np.argmin(evidence.misfit))] @ factor(targets).T) / targets.sd
+    told = (evidence.residual[int(np.argmin(evidence.misfit)), : evidence.targets] @ factor(targets).T) / targets.sd
     worst = np.argsort(-np.abs(told))[:3]
     names = ", ".join(f"{targets.names[j]} ({told[j]:+.1f} sd)" for j in worst)
     return (
@@ -40,9 +38,7 @@ def verdict(evidence: Evidence, components: Components, targets: Targets, misfit
     )
 
 
-def unlearned(box: Box, chain: mcmc.Chain) -> list[str]:
-    """Inputs whose posterior is as wide as the box's prior."""
-    flat = chain.flat()
-    kept = flat.std(0) * np.sqrt(12.0) / (box.upper - box.lower)
-    names = [name for name, share in zip(box.names, kept, strict=True) if share > 0.9]
+def unlearned(table: list[dict[str, float | str]]) -> list[str]:
+    """Inputs whose posterior is as wide as the prior, by the rows of ``posterior.summary``."""
+    names = [str(row["input"]) for row in table if float(row["contraction"]) < 0.1]
     return [f"{', '.join(names)}: the posterior is as wide as the prior; the targets tell nothing of it."] if names else []

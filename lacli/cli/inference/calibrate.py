@@ -74,7 +74,7 @@ def command(
     """
     from lacli.api import calibration as api
     from lacli.calibration.calibration import Settings
-    from lacli.calibration.sequential.calibration import Settings as Sought
+    from lacli.calibration.sequential.search import Settings as Sought
     from lacli.contracts.targets import read_targets
     from lacli.inference.box import published_box, read_box
     from lacli.inference.sampling.posterior import Settings as Sampling
@@ -139,7 +139,7 @@ def command(
 
 def _seek(scene: Scene, targets: Targets, folder: Path, as_json: bool, **options: Any) -> None:
     from lacli.api.sequential import seek
-    from lacli.calibration.sequential.calibration import document
+    from lacli.calibration.sequential.result import document
 
     begin = time.monotonic()
     with stages() as show:

@@ -15,6 +15,7 @@ from lacli.inference.sampling.mixture import Mixture
 
 _JITTER = 1e-5
 _JUMPS = 0.1  # share of the steps that are jumps
+_PLAIN = 0.15  # share of the steps without a detour: a walker where the surrogate is far too low would never leave by one
 
 
 class EnsemblesMove(Move):
@@ -25,7 +26,8 @@ class EnsemblesMove(Move):
     probability min(1, pi(y) s(x) / (pi(x) s(y))) (surrogate transition, Liu 2001, section 9.4.3): the target is exactly
     pi, and each evaluation of pi is spent on a nearly independent point. With a ``mixture`` (fixed), some steps are jumps
     to a point of it, accepted by Metropolis and Hastings's rule: a walker in a separate part of the density, where no
-    difference of others reaches, still exchanges with the rest. ``scale`` (d,): the box's size, for the jitter.
+    difference of others reaches, still exchanges with the rest. Some steps make no detour, so that a walker where the surrogate
+    is wrong goes on. ``scale`` (d,): the box's size, for the jitter.
     """
 
     def __init__(
@@ -50,7 +52,7 @@ class EnsemblesMove(Move):
         for mine, other in ((order[:, :half], order[:, half:]), (order[:, half:], order[:, :half])):
             rows = mine.ravel()
             x = state.coords[rows]
-            if self.surrogate is None:
+            if self.surrogate is None or rng.random_sample() < _PLAIN:
                 y, correction = x + self._steps(rng, state.coords, other, mine.shape[1], 1)[0], np.zeros(len(x))
                 if self.mixture is not None and rng.random_sample() < _JUMPS:
                     y, correction = self._jump(rng, x, self.mixture)

@@ -25,6 +25,7 @@ from lacli.inference.sampling.moves import EnsemblesMove
 from lacli.inference.surrogate import fit_surrogate
 
 _FORMAT = 2
+_WALK = 2  # which moves the walkers make
 STOPPING = frozenset({"rhat", "ess", "max_steps"})  # settings that say when a chain is long enough, not where it goes
 # an input whose sd the targets shrink by less than this has stayed as it was known before
 LEAST_CONTRACTION = 0.2
@@ -317,7 +318,7 @@ def learnt(row: dict[str, float | str]) -> str:
 def chain_identity(density: Density, settings: Settings) -> Identity:
     """Everything the random walk depends on; stopping rules are left out, so that a longer run continues."""
     walk = {f.name: getattr(_with_walkers(settings, density), f.name) for f in fields(settings) if f.name not in STOPPING}
-    return identify("chain", density=density, format=_FORMAT, **walk)
+    return identify("chain", density=density, format=_FORMAT, walk=_WALK, **walk)
 
 
 def _with_walkers(settings: Settings, density: Density) -> Settings:

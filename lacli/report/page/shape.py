@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from lacli.base import vtkxml
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import InputError
 from lacli.contracts.labels import BODY_REGIONS, PLANE_COLOUR, REGION_COLOURS, REGIONS, RING_COLOUR, is_plane, is_ring
@@ -32,10 +33,8 @@ def atrium(
     points (k, 3) of the end-diastolic endocardium and their thickness (k,) mm. regional: title -> unit and value by region.
     Raises InputError on a damaged file, OtherAnatomyError.
     """
-    import pyvista as pv
-
+    mesh = vtkxml.read(es_file, remedy="Run the scene again.")
     try:
-        mesh = pv.read(es_file)
         label = np.asarray(mesh.cell_data["region"])
         surface = mesh.extract_surface(nonlinear_subdivision=0, algorithm="dataset_surface", pass_cellid=True).triangulate()
         u = np.asarray(surface.point_data["displacement"], dtype=float)

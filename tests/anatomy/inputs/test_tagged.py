@@ -59,7 +59,7 @@ def test_a_missing_name_is_named(tmp_path: Path) -> None:
     with pytest.raises(AnatomyError, match="atrium-appendage"):
         read_tagged(FILES[0], FILES[1], file)
     file.write_text("{")
-    with pytest.raises(AnatomyError, match="cannot be read"):
+    with pytest.raises(AnatomyError, match="not valid JSON"):
         read_tagged(FILES[0], FILES[1], file)
 
 

@@ -20,6 +20,7 @@ from lacli.base.errors import InputError
 from lacli.base.processes.process import answer_of
 from lacli.base.quiet import quiet, reason
 from lacli.base.schema import Array, array_file, write_arrays
+from lacli.base.vtkxml import is_whole
 
 _TIMEOUT_S = 300.0
 # memory for the libraries themselves, and for each byte of the file (packed files grow fivefold, readers hold copies)
@@ -79,7 +80,7 @@ def _surface(path: Path) -> dict[str, Any]:
     import pyvista as pv
 
     data: Any = pv.read(path)
-    if not _is_whole(data):  # VTK itself does not look, and ends the process where it works on such cells
+    if not is_whole(data):
         raise InputError(f"{path}: a cell names a point that does not exist; export the file again.")
     grid_points = np.zeros((0, 3))
     tets, grid_cells = np.zeros((0, 4), np.int64), 0
@@ -108,21 +109,6 @@ def _surface(path: Path) -> dict[str, Any]:
         "points": points, "triangles": triangles, "tets": tets, "grid_points": grid_points, "grid_cells": grid_cells,
         "cell_names": names, **arrays,
     }  # fmt: skip
-
-
-def _is_whole(data: Any) -> bool:
-    """Whether every cell of a data set that lists its cells' points names points that there are."""
-    import pyvista as pv
-    from vtkmodules.util.numpy_support import vtk_to_numpy
-
-    if isinstance(data, pv.PolyData):
-        cells = [data.GetVerts(), data.GetLines(), data.GetPolys(), data.GetStrips()]
-    elif isinstance(data, pv.UnstructuredGrid):
-        cells = [data.GetCells()]
-    else:
-        return True
-    lists = [vtk_to_numpy(c.GetConnectivityArray()) for c in cells if c is not None and c.GetNumberOfCells()]
-    return all(len(points) == 0 or (points.min() >= 0 and points.max() < data.n_points) for points in lists)
 
 
 def _fibres(path: Path) -> dict[str, Any]:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
-import meshio
 import numpy as np
 
 from lacli.anatomy.coordinates.describe import describe
 from lacli.anatomy.coordinates.frame import frame_from_openings, height, sectors, sweep, two_layer_fibres, unit
 from lacli.anatomy.cuts import closing
 from lacli.anatomy.cuts.caps import Plate, extrude_plate, rim_loops, triangulate_loop
+from lacli.anatomy.inputs.meshes import apart, surfacefile
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.documents import read_json
 from lacli.base.errors import AnatomyError
@@ -75,26 +77,19 @@ def read_tagged(
 
 def read_mesh(tets_file: Path, surfaces_file: Path, names_json: Path, chamber: str) -> TaggedMesh:
     """Read the three files; surfaces are tied to the tetrahedra by position (their point numbering differs)."""
-    import pyvista as pv
-
-    for file in (tets_file, surfaces_file, names_json):
-        if not file.is_file():
-            raise AnatomyError(f"{file}: no such file.")
-    try:
-        volume = meshio.read(tets_file)
-        surface = pv.read(surfaces_file)
-        names = {int(k): str(v) for k, v in read_json(names_json)["_surface_id_to_name"].items()}
-    except Exception as error:  # readers raise all sorts of things on damaged files
-        raise AnatomyError(f"{tets_file.parent}: the files cannot be read ({type(error).__name__}: {error}).") from error
-    points = np.asarray(volume.points, dtype=np.float64)
-    if "tetra" not in volume.cells_dict:
-        raise AnatomyError(f"{tets_file}: there are no linear tetrahedra in it.")
-    tets = np.asarray(volume.cells_dict["tetra"], dtype=np.int64)
+    names = _names(names_json)
+    volume, surface = apart.content(tets_file, "surface"), apart.content(surfaces_file, "surface")
+    points, tets = volume["grid_points"], volume["tets"]
+    if not len(tets):
+        raise AnatomyError(f"{tets_file}: there are no tetrahedra in it.")
+    if not np.isfinite(points).all():
+        raise AnatomyError(f"{tets_file}: a point is not finite (NaN or infinite).")
     turned = volumes(points, tets) < 0
     tets[turned] = tets[turned][:, [0, 2, 1, 3]]
-    faces = surface.faces.reshape(-1, 4)[:, 1:].astype(np.int64)
-    surface_points = np.asarray(surface.points, dtype=np.float64)
-    ids = np.asarray(surface.cell_data["surface_id"]).astype(np.int64)
+    surface_points, faces = surfacefile.checked(surfaces_file, surface)
+    ids = _surface_ids(surfaces_file, surface, len(faces))
+    if not np.isfinite(surface_points).all():
+        raise AnatomyError(f"{surfaces_file}: a point is not finite (NaN or infinite).")
 
     def named(words: tuple[str, ...], exact: bool = False) -> IntArray:
         present = [i for i in np.unique(ids) if i in names]
@@ -122,6 +117,24 @@ def read_mesh(tets_file: Path, surfaces_file: Path, names_json: Path, chamber: s
     caps = {opening: surface_points[np.unique(named(CAP_WORDS[opening]))] for opening in OPENINGS}
     rims = _rims(endo, points, caps, str(surfaces_file))
     return TaggedMesh(points, tets, endo, rims, _closed(points, endo, rims))
+
+
+def _names(file: Path) -> dict[int, str]:
+    """Names of the surfaces by their number. Raises AnatomyError."""
+    document = read_json(file, error=AnatomyError)
+    table = document.get("_surface_id_to_name") if isinstance(document, dict) else None
+    if not isinstance(table, dict) or not all(re.fullmatch(r"-?\d{1,9}", key) for key in table):
+        raise AnatomyError(f"{file}: needs a table _surface_id_to_name of numbers and names.")
+    return {int(key): str(value) for key, value in table.items()}
+
+
+def _surface_ids(file: Path, surface: dict[str, Any], count: int) -> IntArray:
+    """The number of each triangle's surface (t,). Raises AnatomyError."""
+    places = np.flatnonzero(surface["cell_names"] == "surface_id")
+    ids = surface[f"cell_{places[0]}"] if len(places) else None
+    if ids is None or len(ids) != count or not np.isfinite(ids).all() or np.abs(ids).max() > 1e9:
+        raise AnatomyError(f"{file}: needs triangles alone, and a cell array surface_id with a number for each.")
+    return np.asarray(ids, np.int64)
 
 
 def _rims(endo: IntArray, points: FloatArray, caps: dict[str, FloatArray], where: str) -> dict[str, IntArray]:

@@ -1,0 +1,121 @@
+"""What a calibration that sought the posterior found, and what a user must know of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lacli.base.arrays import FloatArray
+from lacli.calibration.sequential import modes
+from lacli.calibration.sequential.emulator import Components
+from lacli.calibration.sequential.evidence import Evidence
+from lacli.calibration.sequential.laplace import Laplace
+from lacli.calibration.sequential.search import Search
+from lacli.calibration.sequential.verdict import unlearned, verdict
+from lacli.contracts.targets import Targets
+from lacli.inference.box import Box
+from lacli.inference.sampling import posterior as mcmc
+
+
+@dataclass(frozen=True)
+class Sequential:
+    """The result. map_x (d,) and its chi^2; runs by stage, ``map_runs`` until the most probable point was found; table: summary
+    by input; change (d,): how far the emulator's error may still move the posterior's mean, in its sds; minima
+    (k, d): the modes found, the best first; sweep: what the check of the box says; notes: what a user must know; left_out:
+    targets that the runs cannot tell (targets: the others)."""
+
+    box: Box
+    targets: Targets
+    map_x: FloatArray
+    misfit: float
+    map_runs: int
+    stages: dict[str, int]
+    failed: int
+    table: list[dict[str, float | str]]
+    change: FloatArray
+    minima: FloatArray
+    sweep: modes.Sweep
+    chain: mcmc.Chain
+    fit: list[dict[str, float | str]]
+    held_out: float
+    stopped: str
+    refused: str
+    notes: tuple[str, ...]
+    x: FloatArray
+    cpu_s: float
+    left_out: tuple[str, ...]
+
+    @property
+    def runs(self) -> int:
+        """All runs asked for."""
+        return len(self.x)
+
+
+def result_of(
+    search: Search,
+    evidence: Evidence,
+    known: list[Laplace],
+    local: Components,
+    whole: Components,
+    chain: mcmc.Chain,
+    moved: FloatArray,
+    swept: modes.Sweep,
+    map_runs: int,
+    stopped: str,
+) -> Sequential:
+    """The result, with its verdict and notes."""
+    box, targets = search.box, search.targets
+    row = int(np.argmin(evidence.misfit))  # the run at the answer, but for the emulator's error there
+    misfit, map_x = float(evidence.chi2[row]), evidence.x[row]
+    frame = search.log.frame(evidence.x[row][None])
+    nearest = frame[list(targets.names)].to_numpy(float)[0]
+    fitted: list[dict[str, float | str]] = [
+        {"feature": name, "target": float(t), "sd": float(s), "simulated": float(y), "misfit_sd": float((y - t) / s)}
+        for name, t, s, y in zip(targets.names, targets.mean, targets.sd, nearest, strict=True)
+    ]
+    freedom = max(1, len(targets.names) - box.d)
+    refused = verdict(evidence, whole, targets, misfit, freedom)
+    notes = list(dict.fromkeys(search.notes))
+    notes.append(swept.words())
+    table = mcmc.summary(chain, map_x, box, targets.priors)
+    notes += unlearned(table)
+    if search.left_out:
+        times = sorted({name.partition("@")[2] for name in search.left_out})
+        notes.append(
+            f"{len(search.left_out)} targets are left out, all of the frames at {', '.join(times)}: runs at all but the same "
+            "parameters end in different states there (the end-diastolic wall has unstable modes: it does not hold itself), so "
+            "the model says nothing of them."
+        )
+    if search.strays:
+        notes.append(f"{search.strays} runs lie on another branch than their neighbours and are left out.")
+    if local.held_out > 2.0:
+        notes.append(
+            f"runs left out of the emulator miss it by {np.sqrt(local.held_out):.1f} times what it says of itself; its variance "
+            "was widened by that."
+        )
+    if not chain.converged:
+        notes.append("the chain has not converged (R-hat or effective samples are not those asked for).")
+    used = search.log.frame(search.x)
+    return Sequential(
+        box, targets, map_x, misfit, map_runs, dict(search.stages), len(evidence.failed), table,
+        moved,
+        search.scale.to_x(np.array([mode.centre for mode in known])), swept, chain, fitted, local.held_out, stopped, refused,
+        tuple(notes), search.x, float(used["cpu_s"].sum()), search.left_out,
+    )  # fmt: skip
+
+
+def document(result: Sequential) -> dict[str, Any]:
+    """The result as plain values."""
+    return {
+        "method": "sequential", "stopped": result.stopped, "refused": result.refused, "notes": list(result.notes),
+        "runs": result.runs, "runs_to_map": result.map_runs, "runs_by_stage": result.stages, "failed": result.failed,
+        "cpu_s": result.cpu_s if np.isfinite(result.cpu_s) else None,
+        "chi2": result.misfit, "targets": len(result.targets.names), "targets_left_out": list(result.left_out),
+        "posterior": result.table,
+        "emulator_change_sd": dict(zip(result.box.names, result.change.tolist(), strict=True)),
+        "modes": [dict(zip(result.box.names, row, strict=True)) for row in result.minima.tolist()],
+        "box_not_ruled_out_elsewhere": result.sweep.elsewhere, "converged": result.chain.converged,
+        "samples": len(result.chain.flat()), "fit": result.fit, "held_out": result.held_out,
+    }  # fmt: skip
