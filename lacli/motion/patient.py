@@ -94,8 +94,7 @@ def track(
     for k, u in zip(known[1:], found[1:], strict=True):
         right, got = surface.features(bundle.points + k.displacement), surface.features(bundle.points + u)
         errors.append({key: got[key] - right[key] for key in right})
-    factor = uncertainty.known_motion_factor(float(images[0].spacing.max()))
-    model = uncertainty.error_model(errors, factor)
+    model = uncertainty.error_model(errors)
     by_frame = [
         (float(times[i + 1]), uncertainty.surface_error(surface, u - k.displacement))
         for i, k, u in zip(chosen, known[1:], found[1:], strict=True)
@@ -106,7 +105,6 @@ def track(
         "work_mm": settings.work_mm,
         "voxels": int(images[0].array.size),
         "noise_hu": float(mean.noise_hu),
-        "known_motion_factor": factor,
         "endocardium_that_fits_ed": share,
         "registration_cpu_s": run.cpu_s + again.cpu_s,
         "peak_memory_mb": max(run.peak_memory_mb, again.peak_memory_mb),

@@ -129,13 +129,12 @@ def write_covaried(folder: Path, found: Covaried, phases: Phases, engine: str) -
 
 
 def _mean_error(tracked: Tracked) -> tuple[float, float]:
-    """Means over the known motions, mm, with the factor by which known motions are easier; where none was made, as stated."""
+    """Means over the known motions, mm; where none was made, as stated."""
     if not tracked.known:
         return float(tracked.info["error_normal_mm"]), float(tracked.info["error_tangential_mm"])
     normal = [error.normal["global"] for _, error in tracked.known]
     tangential = [error.tangential["global"] for _, error in tracked.known]
-    factor = float(tracked.info["known_motion_factor"])
-    return factor * float(np.mean(normal)), factor * float(np.mean(tangential))
+    return float(np.mean(normal)), float(np.mean(tangential))
 
 
 def _errors(tracked: Tracked) -> dict[str, Any]:
