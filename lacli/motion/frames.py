@@ -216,8 +216,8 @@ def _check_slices(reader: Any, image: Image, source: Source) -> None:
     if len(off):
         k = int(off[0])
         raise InputError(
-            f"{source}: slices {k + 1} and {k + 2} of {count} are {abs(gap[k]):.3g} mm apart, the others {abs(usual):.3g} mm; is a "
-            "slice missing?"
+            f"{source}: slices {k + 1} and {k + 2} of {count} are {abs(gap[k]):.3g} mm apart, the others {abs(usual):.3g} mm; "
+            "is a slice missing?"
         )
 
 

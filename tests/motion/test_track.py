@@ -409,7 +409,7 @@ def test_dicom_series_are_frames_with_the_phases_of_their_headers(tmp_path: Path
 def test_a_dicom_series_without_one_of_its_slices_is_refused(tmp_path: Path) -> None:
     volume = np.random.default_rng(0).integers(-200, 500, (6, 8, 8)).astype(np.int16)
     dicom_series(tmp_path / "ed", volume, 1, 0.0, left_out=(3,))
-    with pytest.raises(InputError, match="slices 3 and 4 of 5 are 3 mm apart, the others 1.5 mm; is a slice missing"):
+    with pytest.raises(InputError, match=r"slices 3 and 4 of 5 are 3 mm apart, the others 1\.5 mm; is a slice missing"):
         framing.read(framing.Source(tmp_path / "ed"))
     dicom_series(tmp_path / "whole", volume, 2, 0.0, left_out=(0,))
     assert framing.read(framing.Source(tmp_path / "whole")).array.shape == (5, 8, 8)
