@@ -54,8 +54,8 @@ class Settings:
 class Tracked:
     """The course of the bundle's points, the errors measured, and how.
 
-    known: time and surface error of each frame whose motion was applied, as a true motion would have it; ed_residual: ED registered
-    to itself with fresh noise (or, ``closure_mm``, to a frame at the end of the cycle).
+    known: time and surface error of each frame whose motion was applied, as a true motion would have it; ed_residual: that of
+    end-diastole registered to itself with fresh noise (or, ``closure_mm``, to a frame at the end of the cycle).
     """
 
     course: Course
