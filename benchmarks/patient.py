@@ -1,16 +1,19 @@
 """One patient from end to end with the truth known: targets with drawn, correlated noise; runs, posterior. Synthetic atrium.
 
-    python benchmarks/patient.py [--cell-size-mm 6] [--order 1] [--seed 1] [--truths 1 2 3] [--few] [--out DIR] [--json]
+    python benchmarks/patient.py [--cell-size-mm 6] [--order 1] [--seed 1] [--truths 1 2 3] [--few] [--shared] [--reference 200]
+                                 [--out DIR] [--json]
 
 Each truth is drawn from the inner part of the box and simulated; its 90 targets (magnitudes, components along normal and
 universal coordinates, area strain and volume, at end-systole and in three frames) get errors of 0.2 mm, 5 % of the
 end-diastolic volume and 0.02 of strain, correlated between frames (.5) and between features of a region's motion (.3), and are
-calibrated against. Printed: asked beside measured.
+calibrated against. With --shared a truth starts from the runs of those before it that lie nearest to its targets (those are not
+counted). Kept in DIR, and gone on with. Printed: asked beside measured.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import tempfile
 import time
 from pathlib import Path
@@ -18,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from lacli.base.files import write_json
 from lacli.calibration.sequential.calibration import calibrate_sequentially
 from lacli.calibration.sequential.result import Sequential
 from lacli.calibration.sequential.search import Settings, Status
@@ -36,6 +40,7 @@ from lacli.synthetic.atrium import synthesize
 BETWEEN_FRAMES, BETWEEN_FEATURES = 0.5, 0.3
 SD_MM, SD_VOLUME, SD_STRAIN = 0.2, 0.05, 0.02
 ASKED = {"runs to the MAP": 20, "runs in all": 60, "largest sd of alpha": 0.35, "wall minutes": 5.0}
+_GIVEN = 16  # runs of other truths that one starts from
 _INNER = 0.15  # truths keep so far from the ends of each range (of its logarithm)
 
 
@@ -66,10 +71,20 @@ def draw_truth(box: Box, rng: np.random.Generator) -> np.ndarray:
     return np.asarray(np.where(wide, box.lower * (box.upper / box.lower) ** share, box.from_unit(share)))
 
 
-def calibrated(run: SceneSimulator, box: Box, targets: Targets, settings: Settings, folder: Path) -> tuple[Sequential, float]:
-    """The calibration and its wall minutes."""
+def calibrated(
+    run: SceneSimulator, box: Box, targets: Targets, settings: Settings, folder: Path, pool: list[RunLog]
+) -> tuple[Sequential, int, float]:
+    """The calibration, how many runs it was given, and its wall minutes. pool: logs of other truths, whose runs nearest to the
+    targets it starts from."""
     log = RunLog(folder / "runs.csv", box.names, targets.names, runs_identity(run, box.names, targets.names))
-    begin, stage = time.monotonic(), ""
+    begin, stage, first = time.monotonic(), "", None
+    if pool:
+        rows = {x: row for other in pool for x, row in other.rows.items() if row["status"] == "done"}
+        precision = np.linalg.inv(error_of(targets))
+        off = {x: np.array([float(row[n]) for n in targets.names]) - targets.mean for x, row in rows.items()}
+        best = sorted(off, key=lambda x: float(off[x] @ precision @ off[x]))[:_GIVEN]
+        log.rows = {x: rows[x] for x in best} | log.rows
+        first = np.array(best)
 
     def show(status: Status) -> None:
         nonlocal stage
@@ -77,8 +92,13 @@ def calibrated(run: SceneSimulator, box: Box, targets: Targets, settings: Settin
             stage = status.stage
             err.print(f"{time.monotonic() - begin:6.0f} s  {status.runs:3d} runs  {stage}", highlight=False)
 
-    found = calibrate_sequentially(run, box, targets, settings, folder, log, show)
-    return found, (time.monotonic() - begin) / 60.0
+    found = calibrate_sequentially(run, box, targets, settings, folder, log, show, first=first)
+    return found, len(first) if first is not None else 0, (time.monotonic() - begin) / 60.0
+
+
+def error_of(targets: Targets) -> np.ndarray:
+    """The covariance (p, p) of the targets' errors."""
+    return np.diag(targets.sd**2) if targets.covariance is None else targets.covariance
 
 
 def inside(found: Sequential, truth: np.ndarray) -> list[bool]:
@@ -86,31 +106,94 @@ def inside(found: Sequential, truth: np.ndarray) -> list[bool]:
     return [bool(float(r["low95"]) <= t <= float(r["high95"])) for r, t in zip(found.table, truth, strict=True)]
 
 
-def one(run: SceneSimulator, box: Box, names: tuple[str, ...], number: int, folder: Path) -> dict[str, Any]:
-    """Truth ``number``: simulated, blurred by its noise, calibrated against."""
+def reference(run: SceneSimulator, box: Box, targets: Targets, found: Sequential, count: int, folder: Path) -> dict[str, float]:
+    """The posterior's mean without emulator: draws of the posterior are run, and weighed by the likelihood of the runs over
+    that of the chain. Largest difference of the means in sds, its standard error, and how many draws count."""
+    chain = found.chain
+    flat, log_prob = chain.flat(), chain.flat_log_prob()
+    rows = np.linspace(0, len(flat) - 1, count).astype(int)
+    x, names = flat[rows], found.targets.names
+    log = RunLog(folder / "reference.csv", box.names, targets.names, runs_identity(run, box.names, targets.names))
+    log.run(run, x)
+    frame = log.frame(x)
+    done = (frame["status"] == "done").to_numpy()
+    away = frame.loc[done, list(names)].to_numpy(float) - found.targets.mean
+    true = -0.5 * np.einsum("mi,ij,mj->m", away, np.linalg.inv(error_of(found.targets)), away)
+    log_weight = true - log_prob[rows][done]
+    weight = np.exp(log_weight - log_weight.max())
+    weight /= weight.sum()
+    kept = x[done]
+    mean, effective = weight @ kept, 1.0 / float((weight**2).sum())
+    sd = flat.std(0)
+    # of the weighted mean, against the plain mean of the same draws: what the weights alone change
+    return {
+        "mean off, sd": float((np.abs(kept.mean(0) - mean) / sd).max()), "its error, sd": float(1.0 / np.sqrt(effective)),
+        "effective draws": effective, "failed": int((~done).sum()), "log likelihood off, sd": float(log_weight.std()),
+    }  # fmt: skip
+
+
+def one(
+    run: SceneSimulator, box: Box, names: tuple[str, ...], number: int, out: Path, choice: argparse.Namespace
+) -> dict[str, Any]:
+    """Truth ``number``: simulated, blurred by its noise, calibrated against; kept, and not made again."""
+    kind = "few" if choice.few else "many"
+    folder = out / f"{kind}_{number}"
+    kept = folder / "row.json"
+    if kept.is_file():
+        row: dict[str, Any] = json.loads(kept.read_text())
+        return row
     rng = np.random.default_rng(number)
     truth = draw_truth(box, rng)
     asked = (*names, "edv_ml")
     log = RunLog(folder / "truth.csv", box.names, asked, runs_identity(run, box.names, asked))
     log.run(run, truth[None])
-    row = log.frame(truth[None]).iloc[0]
-    if row["status"] != "done":
-        return {"truth": number, "failed": str(row["kind"])}
-    y = row[list(names)].to_numpy(float)
-    covariance = error_covariance(names, float(row["edv_ml"]))
+    made = log.frame(truth[None]).iloc[0]
+    if made["status"] != "done":
+        return {"truth": number, "failed": str(made["kind"])}
+    y = made[list(names)].to_numpy(float)
+    covariance = error_covariance(names, float(made["edv_ml"]))
     noise = np.linalg.cholesky(covariance) @ rng.standard_normal(len(names))
     targets = Targets(names, y + noise, np.sqrt(np.diag(covariance)), covariance)
-    found, minutes = calibrated(run, box, targets, Settings(seed=number), folder / "calibration")
-    alpha = [float(r["sd"]) for r in found.table if str(r["input"]).startswith("alpha_")]
+    pool = []
+    if choice.shared:
+        of_runs = runs_identity(run, box.names, names)
+        files = [out / f"{kind}_{k}" / "calibration" / "runs.csv" for k in choice.truths[: choice.truths.index(number)]]
+        pool = [RunLog(file, box.names, names, of_runs) for file in files if file.is_file()]
+    settings = Settings(seed=number, max_runs=60 + _GIVEN * bool(pool))
+    found, given, minutes = calibrated(run, box, targets, settings, folder / "calibration", pool)
+    alpha = {str(r["input"]): float(r["sd"]) for r in found.table if str(r["input"]).startswith("alpha_")}
     within = inside(found, truth)
-    return {
-        "truth": number, "runs to the MAP": found.map_runs, "runs in all": found.runs, "failed runs": found.failed,
-        "chi2": found.misfit, "targets": len(names), "left out": len(found.left_out),
-        "largest sd of alpha": max(alpha), "inside": sum(within), "of": box.d,
+    row = {
+        "truth": number, "runs to the MAP": found.map_runs - given, "runs in all": found.runs - given, "runs given": given,
+        "failed runs": found.failed, "chi2": found.misfit, "targets": len(names), "left out": len(found.left_out),
+        "largest sd of alpha": max(alpha.values()), "sd of alpha": alpha, "inside": sum(within), "of": box.d,
         "outside": [name for name, good in zip(box.names, within, strict=True) if not good], "wall minutes": minutes,
         "cpu minutes": found.cpu_s / 60.0, "change": float(found.change.max()), "held out": found.held_out,
-        "modes": len(found.minima), "elsewhere": found.sweep.elsewhere, "stages": found.stages, "refused": found.refused,
+        "modes": len(found.minima), "elsewhere": found.sweep.elsewhere, "box open": found.sweep.open_,
+        "stages": found.stages, "refused": found.refused, "converged": found.chain.converged,
     }  # fmt: skip
+    if choice.reference:
+        row["reference"] = reference(run, box, targets, found, choice.reference, folder)
+    write_json(kept, row)
+    return row
+
+
+def summary(rows: list[dict[str, Any]]) -> list[list[Any]]:
+    """What was asked beside what all truths say: [what, asked, measured]."""
+    done = [row for row in rows if "failed" not in row]
+    inside_, of = sum(row["inside"] for row in done), sum(row["of"] for row in done)
+    spread = np.array([list(row["sd of alpha"].values()) for row in done])
+    to_map, in_all = (np.array([row[key] for row in done]) for key in ("runs to the MAP", "runs in all"))
+    return [
+        ["truths", 40, f"{len(done)} ({len(rows) - len(done)} failed, {sum(bool(row['refused']) for row in done)} refused)"],
+        ["inside their 95 % intervals", "93 - 97 %", f"{inside_} of {of}: {inside_ / of:.1%}"],
+        ["runs to the MAP: median, largest", 20, f"{np.median(to_map):g}, {to_map.max()}"],
+        ["runs in all: median, largest", 60, f"{np.median(in_all):g}, {in_all.max()}"],
+        ["emulator's part settled (< .1 sd)", "all", f"{sum(row['change'] < 0.1 for row in done)}"],
+        ["sd of alpha: mean by region", 0.35, ", ".join(f"{v:.2f}" for v in spread.mean(0))],
+        ["sd of alpha: largest by region", 0.35, ", ".join(f"{v:.2f}" for v in spread.max(0))],
+        ["truths with targets left out", "", str(sum(row["left out"] > 0 for row in done))],
+    ]  # fmt: skip
 
 
 def main() -> None:
@@ -121,6 +204,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1, help="of the atrium")
     parser.add_argument("--truths", type=int, nargs="*", default=[1], help="numbers of the truths")
     parser.add_argument("--few", action="store_true", help="against the seven published targets alone")
+    parser.add_argument("--shared", action="store_true", help="truths start from the runs of those before")
+    parser.add_argument("--reference", type=int, default=0, help="so many draws of the posterior are run, to weigh them anew")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, help="where everything is kept (and found again); else it is thrown away")
     parser.add_argument("--json", action="store_true")
@@ -139,13 +224,14 @@ def main() -> None:
         es = 0.4
         names = OUTPUTS if choice.few else names_of(es)
         run = simulator(scene, out / "runs", choice.workers, targets=names)
-        rows = [one(run, box, names, number, out / f"{'few' if choice.few else 'many'}_{number}") for number in choice.truths]
+        rows = [one(run, box, names, number, out, choice) for number in choice.truths]
     if choice.json:
-        print_json({"asked": ASKED, "rows": rows})
+        print_json({"asked": ASKED, "summary": summary(rows), "rows": rows})
         return
     for row in rows:
         table = [[key, ASKED.get(key, ""), str(value)] for key, value in row.items()]
         print_table(f"truth {row['truth']}", ["what", "asked", "measured"], table)
+    print_table(f"{len(rows)} truths", ["what", "asked", "measured"], summary(rows))
 
 
 if __name__ == "__main__":

@@ -73,11 +73,8 @@ def seek(
     from lacli.mechanics.numerics.accuracy import known_errors
     from lacli.report.inference_figures_posterior import corner_figure, trace_figure
 
-    if scene.numerics.unloading != "prestrain" or scene.numerics.engine == "script":
-        raise UsageError(
-            "calibrate: the sequential method needs derivatives, which only the compiled engine with numerics.unloading = "
-            '"prestrain" has. Change the scene, or use --method published.'
-        )
+    if words := lacking(scene):
+        raise UsageError(f"calibrate: {words} Change the scene, or use --method published.")
     check_folder(folder)
     settings, box = settings or Settings(), box or published_box()
     run = simulator(scene, store or folder / RUNS, workers, scheduler, targets=targets.names)
@@ -91,7 +88,7 @@ def seek(
     stage = Stage("calibration", 1.0, progress, cancel)
 
     def hear(status: Status) -> None:
-        stage.of(f"{status.stage} ({status.runs} runs so far)" if not status.total else status.stage, status.done, status.total)
+        stage.of(f"{status.stage}, {status.runs} runs" if not status.total else status.stage, status.done, status.total)
 
     result = calibrate_sequentially(run, box, targets, settings, folder, log, hear, notes)
     superseded(folder, *FIGURES)
@@ -101,6 +98,15 @@ def seek(
         corner, trace = (folder / name for name in FIGURES)
         pictures = (corner_figure(result.chain, result.map_x, box, corner), trace_figure(result.chain, trace))
     return Sought(folder, result, pictures)
+
+
+def lacking(scene: Scene) -> str:
+    """Why runs of the scene tell no derivatives, which the search needs, in words; '' where they do."""
+    if scene.numerics.unloading != "prestrain" or scene.numerics.engine == "script":
+        return (
+            'the sequential method needs derivatives, which only the compiled engine with numerics.unloading = "prestrain" has.'
+        )
+    return ""
 
 
 def _unknown_errors(names: Sequence[str], errors: Mapping[str, float]) -> list[str]:

@@ -16,6 +16,7 @@ import numpy as np
 
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import UsageError
+from lacli.calibration.sequential.outputs import Features
 from lacli.cohort.evidence import evidence
 from lacli.contracts.labels import BODY_REGIONS
 from lacli.contracts.targets import Targets
@@ -35,7 +36,7 @@ class Model:
     """A model: emulators with their box, and groups of inputs that are one number."""
 
     name: str
-    emulators: AnyEmulators
+    emulators: AnyEmulators | Features
     box: Box
     tied: tuple[tuple[str, ...], ...] = ()
 

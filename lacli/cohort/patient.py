@@ -21,13 +21,14 @@ RESULT, IDENTITY = "result.json", "calibration.json"
 def read_result(folder: Path) -> Mapping[str, Any]:
     """The calibration's result. Raises InputError where there is none."""
     result = read_json(folder / RESULT, missing="no such file; is this the folder of a finished calibration?")
-    if not isinstance(result, dict) or not result.get("waves") or not isinstance(result.get("fit"), list):
+    made = isinstance(result, dict) and (result.get("waves") or result.get("method") == "sequential")
+    if not made or not isinstance(result.get("fit"), list):
         raise InputError(f"{folder / RESULT}: not a calibration's result.")
     return result
 
 
 def read_model(folder: Path, targets: Targets, name: str = REGIONAL) -> Model:
-    """The last wave's emulators and the box of a calibration to these targets.
+    """The emulators and the box of a calibration to these targets: of the last wave, or of all runs of a sequential one.
 
     Raises InputError where the folder holds no finished calibration, UsageError where it was made to other targets.
     """
@@ -42,11 +43,7 @@ def read_model(folder: Path, targets: Targets, name: str = REGIONAL) -> Model:
                 f"{folder}: was calibrated to {feature} {row['target']:g} ± {row['sd']:g}, the targets given say"
                 f" {targets.mean[j]:g} ± {targets.sd[j]:g}; give those it was made to."
             )
-    emulators = load_emulators(folder / f"wave_{len(result['waves'])}" / "emulators.npz")
     features = [str(row["feature"]) for row in result["fit"]]
-    missing = [feature for feature in features if feature not in emulators.outputs]
-    if missing:
-        raise InputError(f"{folder}: its emulators have no {', '.join(missing)}; calibrate again.")
     document = read_json(folder / IDENTITY)
     content = document.get("content", {}) if isinstance(document, dict) else {}
     try:
@@ -54,6 +51,15 @@ def read_model(folder: Path, targets: Targets, name: str = REGIONAL) -> Model:
         low, high = ([float(content[f"box.{end}.{name}"]) for name in names] for end in ("lower", "upper"))
     except (KeyError, TypeError, ValueError):
         raise InputError(f"{folder / IDENTITY}: does not say the box; calibrate again.") from None
+    box = make_box(names, low, high)
+    if result.get("method") == "sequential":
+        from lacli.calibration.sequential.outputs import features_of
+
+        return Model(name, features_of(folder / "runs.csv", box, targets.select(features)), box)
+    emulators = load_emulators(folder / f"wave_{len(result['waves'])}" / "emulators.npz")
+    missing = [feature for feature in features if feature not in emulators.outputs]
+    if missing:
+        raise InputError(f"{folder}: its emulators have no {', '.join(missing)}; calibrate again.")
     if tuple(names) != emulators.inputs:
         raise InputError(f"{folder}: the emulators' inputs are not the box's; calibrate again.")
-    return Model(name, emulators.select(features), make_box(names, low, high))
+    return Model(name, emulators.select(features), box)

@@ -66,7 +66,7 @@ def test_the_posterior_is_that_of_the_simulator_itself(tmp_path: Path) -> None:
     assert found.map_runs <= 20
     assert found.runs <= 60
     assert not found.refused
-    assert found.sweep.elsewhere == 0.0
+    assert found.sweep.elsewhere < 0.01
 
 
 def test_an_interrupted_calibration_repeats_no_run_and_ends_the_same(tmp_path: Path) -> None:

@@ -39,6 +39,7 @@ FILE, RESULT = "calibration.json", "result.json"
 _MODE = 25.0  # excess of chi^2 up to which a second minimum has a share in the posterior
 _LOCAL = 12.0  # Mahalanobis distance up to which a run takes part in the local emulator
 _DESCENT_ROUNDS = 24
+_AT_ONCE = 3  # runs of the check of the box between two looks
 
 
 @single_threaded
@@ -51,8 +52,10 @@ def calibrate_sequentially(
     log: RunLog,
     monitor: Monitor = lambda status: None,
     notes: Sequence[str] = (),
+    first: FloatArray | None = None,
 ) -> Sequential:
-    """Calibrate against the targets; ``log`` holds the runs, which must tell derivatives; ``notes`` go into the result.
+    """Calibrate against the targets; ``log`` holds the runs, which must tell derivatives; ``notes`` go into the result. first
+    (k, d): inputs to start from in place of points over the box (k >= 4), such as those of runs there are.
 
     Raises LacliError where runs tell none or too few finish, UsageError where the folder holds another calibration.
     """
@@ -67,7 +70,7 @@ def calibrate_sequentially(
     write_identity(folder / FILE, identity)
     search = Search(simulator, box, targets, settings, log, monitor)
     search.notes.extend(notes)
-    evidence = _start(search)
+    evidence = _start(search, None if first is None else search.scale.to_z(first))
     evidence, components = _descend(search, evidence)
     map_runs = len(search.x)
     known = [_best(evidence)]
@@ -76,7 +79,7 @@ def calibrate_sequentially(
     )
     chain, evidence, moved, local, stopped = _refine(search, evidence, known, folder)
     evidence, known_after, components, swept = _other_modes(
-        search, evidence, known, components, "check of the box", search.left - 1
+        search, evidence, known, components, "check of the box", settings.mode_runs // 2, rule_out=True
     )
     if len(known_after) > len(known):  # a mode that the first look missed: around it too
         known = known_after
@@ -95,12 +98,14 @@ def sequential_identity(box: Box, targets: Targets, settings: Settings, runs: An
     return identify("calibration", way="sequential", runs=runs, box=box, targets=targets, settings=chosen, sampling=sampling)
 
 
-def _start(search: Search) -> Evidence:
-    """The middle of the box and low-discrepancy points; more while fewer than two runs finish with derivatives."""
+def _start(search: Search, first: FloatArray | None) -> Evidence:
+    """The middle of the box and low-discrepancy points, or those given; more while fewer than two finish with derivatives."""
     d = search.box.d
+    if first is not None:
+        search.run(first, "given")
     sobol = qmc.Sobol(d, rng=np.random.default_rng(search.settings.seed)).random(64)
     z = np.vstack([np.full((1, d), 0.5), 0.1 + 0.8 * sobol])
-    evidence = search.run(z[: search.settings.starts], "starts")
+    evidence = search.run(z[: search.settings.starts if first is None else 0], "starts")
     at = search.settings.starts
     while evidence.told.sum() < 2 and at < min(len(z), search.settings.starts + 16):
         evidence = search.run(z[at : at + 4], "starts")
@@ -139,26 +144,33 @@ def _best(evidence: Evidence) -> Laplace:
 
 
 def _other_modes(
-    search: Search, evidence: Evidence, known: list[Laplace], components: Components | None, stage: str, budget: int
+    search: Search,
+    evidence: Evidence,
+    known: list[Laplace],
+    components: Components | None,
+    stage: str,
+    budget: int,
+    rule_out: bool = False,
 ) -> tuple[Evidence, list[Laplace], Components, modes.Sweep]:
-    """Run where another mode may be, until nothing is left or the budget is used; modes found are added."""
+    """Run where another mode may be, until nothing is left or the budget is used; modes found are added. rule_out: also where the
+    box is not ruled out, though nothing speaks for it."""
     known = list(known)
     used = 0
     while True:
         search.say("emulators")
         components = fit(evidence.z, evidence.residual, evidence.jacobian, components)
-        best = float(evidence.misfit.min())
-        found = modes.sweep(components, known, best, search.settings.seed)
-        count = min(2, budget - used, search.left - 1)
-        if not len(found.candidates) or count <= 0:
+        found = modes.sweep(components, known, float(evidence.misfit.min()), search.settings.seed)
+        count = min(_AT_ONCE, budget - used, search.left - 1)
+        where = found.candidates if len(found.candidates) or not rule_out or found.settled else found.doubtful
+        if not len(where) or count <= 0:
             return evidence, known, components, found
         before = len(search.x)
-        evidence = search.run(found.candidates[:count], stage)
+        evidence = search.run(where[:count], stage)
         if len(search.x) == before:
             return evidence, known, components, found
         used += len(search.x) - before
         components = fit(evidence.z, evidence.residual, evidence.jacobian, components)
-        for z in found.candidates[:count]:
+        for z in where[:count]:
             row = descent.at(evidence, z)
             ran = np.abs(evidence.z[row] - z).max() < 1e-6 and evidence.told[row]
             as_good = evidence.misfit[row] < evidence.misfit.min() + _MODE

@@ -1,7 +1,9 @@
-"""Other modes: a wave of history matching over the whole box, with the emulator of all runs.
+"""Other modes: the emulator of all runs over the whole box, asked what posterior probability may lie away from the modes known.
 
-A point is ruled out where even three standard deviations of the emulator in its favour leave a misfit so much larger than the
-best run's that its posterior density is nothing beside it.
+At a point the likelihood is averaged over what the emulator, its standard deviations doubled, leaves possible: Gaussian with the
+measurement's and the emulator's variance. A valley that the emulated misfit falls to, away from the known modes, has the
+probability of its Gaussian approximation; the rest of the box that of points spread over it. History matching's verdict (what is
+not ruled out at three standard deviations) is told beside it.
 """
 
 from __future__ import annotations
@@ -9,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import expit, logsumexp
 from scipy.stats import chi2, qmc
 
 from lacli.base.arrays import FloatArray
@@ -16,64 +19,84 @@ from lacli.calibration.sequential.descent import lowest
 from lacli.calibration.sequential.emulator import Components
 from lacli.calibration.sequential.laplace import Laplace
 
-_POINTS = 1 << 14
+_POINTS = 1 << 13
+_DOUBLED = 4.0  # of the emulator's variance
 _FAVOUR = 3.0  # emulator's standard deviations
 NEAR = 6.0  # Mahalanobis, from a mode whose runs are known
 _LEVEL = 1e-4  # of a chi-square in the inputs: of this little posterior mass a point may be the boundary
 _DESCENTS = 48
-_SURE = 20.0  # of chi^2: between what the emulator expects and the most favourable, where it counts as known
+_APART = 0.1  # widths of the box between two valleys
+_CONTENDER = 1e-3  # posterior probability from which a valley is looked at with a run
+_RULED_OUT = 0.01  # of the box: as little left open is ruled out
+_ASUNDER, _DOUBTFUL = 0.3, 12  # widths of the box between doubtful points, and how many of them
+_NOTHING = 0.01  # as improbable, other modes are no matter
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """Of ``points`` of the box, low-discrepancy: the share that is not ruled out, of the known modes and elsewhere; candidates
-    (k, d): places elsewhere whose misfit may be lowest, best first."""
+    """Of ``points`` of the box, low-discrepancy: ``elsewhere``, the posterior probability that may lie away from the known modes;
+    open_: the share of the box that history matching does not rule out there; candidates (k, d): valleys elsewhere that are not
+    negligible, the most probable first; doubtful (k, d): points that are not ruled out, far from each other."""
 
     points: int
-    near: float
     elsewhere: float
+    open_: float
     candidates: FloatArray
+    doubtful: FloatArray
+
+    @property
+    def settled(self) -> bool:
+        """Whether nothing is left to look at."""
+        return not len(self.candidates) and (self.open_ < _RULED_OUT or not len(self.doubtful))
 
     def words(self) -> str:
         """How surely there is no other mode."""
-        if self.elsewhere > 0:
+        share = f"{self.open_:.2%} of the box" if self.open_ > 0 else f"none of {self.points} points of the box"
+        matched = f"history matching at {_FAVOUR:g} standard deviations leaves {share} open away from the answer"
+        if self.elsewhere > _NOTHING:
             return (
-                f"{self.elsewhere:.2%} of the box, away from the answer, is not ruled out: another mode may be there. "
-                "More runs (--max-runs) would tell."
+                f"another mode may hold {self.elsewhere:.1%} of the posterior's probability, by the emulator of all runs over "
+                f"the box ({matched}). More runs (--max-runs) would tell."
             )
         return (
-            f"no other mode: of {self.points} points spread over the box, none away from the answer can be as probable, with "
-            f"{_FAVOUR:g} standard deviations of the emulator in its favour. A mode that fills more than {3.0 / self.points:.1g} "
-            "of the box would have been met with 95 % probability, if the emulator's errors are what held-out runs say."
+            f"no other mode: less than {max(self.elsewhere, 1e-4):.0e} of the posterior's probability lies elsewhere, by the "
+            f"emulator of all runs over the box with its standard deviations doubled ({matched})."
         )
 
 
 def sweep(components: Components, known: list[Laplace], best: float, seed: int) -> Sweep:
-    """Rule out; ``best``: chi^2 of the best run, ``known``: the modes found."""
+    """Weigh the box; ``best``: chi^2 of the best run, ``known``: the modes found."""
     d = components.z.shape[1]
     components = components.reduced()
     z = qmc.Sobol(d, rng=np.random.default_rng(seed)).random(_POINTS)
-    cutoff = best + float(chi2.isf(_LEVEL, d))
-    optimistic, expected = _misfits(components, z)
-    open_ = optimistic < cutoff
-    near = np.min([mode.distance(z) for mode in known], axis=0) < NEAR
-    away = np.flatnonzero(open_ & ~near)
-    order = away[np.argsort(expected[away])]
-    tested = order[:: max(1, len(order) // _DESCENTS)][:_DESCENTS]
-    found: list[FloatArray] = []
-    doubtful = 0
-    for i in tested:
+    optimistic, likelihood = _judged(components, z)
+    away = np.min([mode.distance(z) for mode in known], axis=0) >= NEAR
+    open_ = away & (optimistic < best + float(chi2.isf(_LEVEL, d)))
+    # log of the known modes' integral, and of the points' mean
+    whole = -0.5 * best + max(mode.log_volume for mode in known)
+    beside = float(logsumexp(likelihood[away]) - np.log(len(z))) if away.any() else -np.inf
+    order = np.flatnonzero(away)[np.argsort(-likelihood[away])]
+    found: list[tuple[float, FloatArray]] = []
+    for i in order[:_DESCENTS]:
         end = same_valley(components, known, z[i])
-        # the tail of a known mode, where the emulator knows what it says
-        if end is None and expected[i] - optimistic[i] < _SURE:
+        if end is None or any(np.abs(end - other).max() < _APART for _, other in found):
             continue
-        doubtful += 1
-        point = z[i] if end is None or _misfits(components, end[None])[0][0] > cutoff else end
-        if all(np.abs(point - other).max() > 0.1 for other in found):
-            found.append(point)
-    found.sort(key=lambda point: float(_misfits(components, point[None])[1][0]))
-    elsewhere = len(away) / len(z) * doubtful / max(1, len(tested))
-    return Sweep(_POINTS, float(open_.mean()) - elsewhere, elsewhere, np.array(found).reshape(-1, d))
+        mean, slope = components.mean(end[None])[0], components.slope(end)
+        spread = 1.0 + _DOUBLED * float(components.share(end[None])[0]) * components.variance
+        there = Laplace.at(end, mean / np.sqrt(spread), slope / np.sqrt(spread)[:, None])
+        found.append((float(_judged(components, end[None])[1][0]) + there.log_volume, end))
+    found.sort(key=lambda valley: -valley[0])
+    other = float(logsumexp([beside, *(mass for mass, _ in found)]))
+    odds = [valley for valley in found if valley[0] - whole > np.log(_CONTENDER)]
+    elsewhere = float(expit(other - whole))
+    doubtful: list[FloatArray] = []
+    for i in np.flatnonzero(open_)[np.argsort(optimistic[open_])]:
+        if len(doubtful) < _DOUBTFUL and all(np.abs(z[i] - other).max() > _ASUNDER for other in doubtful):
+            doubtful.append(z[i])
+    return Sweep(
+        _POINTS, elsewhere, float(open_.mean()), np.array([end for _, end in odds]).reshape(-1, d),
+        np.array(doubtful).reshape(-1, d),
+    )  # fmt: skip
 
 
 def same_valley(components: Components, known: list[Laplace], z: FloatArray) -> FloatArray | None:
@@ -82,13 +105,14 @@ def same_valley(components: Components, known: list[Laplace], z: FloatArray) -> 
     return None if min(float(mode.distance(end[None])[0]) for mode in known) < NEAR else end
 
 
-def _misfits(components: Components, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """chi^2 with the emulator's errors in the point's favour, and chi^2 with them added to the measurement's; both (m,).
+def _judged(components: Components, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """chi^2 with the emulator's errors in the point's favour, and the log likelihood averaged over them; both (m,).
 
-    Of two bounds the sharper: all components at once in favour, each by so many standard deviations; and so many of chi^2's own,
-    whose mean and variance are sum(c^2 + V) and sum(4 c^2 V + 2 V^2): where many components err, they do not err alike.
+    In favour, of two bounds the sharper: all components at once, each by so many standard deviations; and so many of chi^2's
+    own, whose mean and variance are sum(c^2 + V) and sum(4 c^2 V + 2 V^2): many components do not all err in favour.
     """
     mean, variance = components.predict(z)
     each = (np.maximum(np.abs(mean) - _FAVOUR * np.sqrt(variance), 0.0) ** 2).sum(1)
     size, spread = (mean**2 + variance).sum(1), (4.0 * mean**2 * variance + 2.0 * variance**2).sum(1)
-    return np.maximum(each, size - _FAVOUR * np.sqrt(spread)), (mean**2 / (1.0 + variance)).sum(1)
+    wide = 1.0 + _DOUBLED * variance
+    return np.maximum(each, size - _FAVOUR * np.sqrt(spread)), -0.5 * (mean**2 / wide + np.log(wide)).sum(1)

@@ -12,6 +12,7 @@ from lacli.calibration.sequential import modes
 from lacli.calibration.sequential.emulator import Components
 from lacli.calibration.sequential.evidence import Evidence
 from lacli.calibration.sequential.laplace import Laplace
+from lacli.calibration.sequential.outputs import Features
 from lacli.calibration.sequential.search import Search
 from lacli.calibration.sequential.verdict import unlearned, verdict
 from lacli.contracts.targets import Targets
@@ -24,7 +25,8 @@ class Sequential:
     """The result. map_x (d,) and its chi^2; runs by stage, ``map_runs`` until the most probable point was found; table: summary
     by input; change (d,): how far the emulator's error may still move the posterior's mean, in its sds; minima
     (k, d): the modes found, the best first; sweep: what the check of the box says; notes: what a user must know; left_out:
-    targets that the runs cannot tell (targets: the others)."""
+    targets that the runs cannot tell (targets: the others); rmse_mm: of the displacements at the most probable point, None
+    where no target is one."""
 
     box: Box
     targets: Targets
@@ -46,6 +48,7 @@ class Sequential:
     x: FloatArray
     cpu_s: float
     left_out: tuple[str, ...]
+    rmse_mm: float | None
 
     @property
     def runs(self) -> int:
@@ -71,10 +74,16 @@ def result_of(
     misfit, map_x = float(evidence.chi2[row]), evidence.x[row]
     frame = search.log.frame(evidence.x[row][None])
     nearest = frame[list(targets.names)].to_numpy(float)[0]
+    mean, variance = Features(local, search.scale, targets, targets.names).predict(map_x[None])
     fitted: list[dict[str, float | str]] = [
-        {"feature": name, "target": float(t), "sd": float(s), "simulated": float(y), "misfit_sd": float((y - t) / s)}
-        for name, t, s, y in zip(targets.names, targets.mean, targets.sd, nearest, strict=True)
-    ]
+        {
+            "feature": name, "target": float(t), "sd": float(s), "emulated": float(e), "emulator_sd": float(np.sqrt(v)),
+            "simulated": float(y), "misfit_sd": float((y - t) / s),
+        }
+        for name, t, s, e, v, y in zip(targets.names, targets.mean, targets.sd, mean[0], variance[0], nearest, strict=True)
+    ]  # fmt: skip
+    lengths = [name.partition("@")[0].endswith("_mm") for name in targets.names]
+    rmse = float(np.sqrt(np.mean((nearest - targets.mean)[lengths] ** 2))) if any(lengths) else None
     freedom = max(1, len(targets.names) - box.d)
     refused = verdict(evidence, whole, targets, misfit, freedom)
     notes = list(dict.fromkeys(search.notes))
@@ -102,7 +111,7 @@ def result_of(
         box, targets, map_x, misfit, map_runs, dict(search.stages), len(evidence.failed), table,
         moved,
         search.scale.to_x(np.array([mode.centre for mode in known])), swept, chain, fitted, local.held_out, stopped, refused,
-        tuple(notes), search.x, float(used["cpu_s"].sum()), search.left_out,
+        tuple(notes), search.x, float(used["cpu_s"].sum()), search.left_out, rmse,
     )  # fmt: skip
 
 
@@ -116,6 +125,9 @@ def document(result: Sequential) -> dict[str, Any]:
         "posterior": result.table,
         "emulator_change_sd": dict(zip(result.box.names, result.change.tolist(), strict=True)),
         "modes": [dict(zip(result.box.names, row, strict=True)) for row in result.minima.tolist()],
-        "box_not_ruled_out_elsewhere": result.sweep.elsewhere, "converged": result.chain.converged,
-        "samples": len(result.chain.flat()), "fit": result.fit, "held_out": result.held_out,
+        "probability_elsewhere": result.sweep.elsewhere, "box_not_ruled_out": result.sweep.open_,
+        "converged": result.chain.converged,
+        "samples": len(result.chain.flat()), "acceptance": result.chain.acceptance, "fit": result.fit,
+        "rmse_mm": result.rmse_mm, "held_out": result.held_out,
+        "verdict": {"plausible": not result.refused, "warnings": [*filter(None, [result.refused]), *result.notes]},
     }  # fmt: skip

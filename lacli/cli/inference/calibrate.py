@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lacli.base.errors import LacliError, UsageError
-from lacli.cli.terminal.console import err, out, print_json, print_table, stages
+from lacli.cli.terminal.console import err, one_bar, out, print_json, print_table
 from lacli.cli.terminal.scenes import read_scene
 from lacli.cli.terminal.tables import BoxFile, Fresh, Json, Retry, Seed
 
@@ -42,15 +42,24 @@ def command(
     root: Annotated[Path | None, typer.Option("--store", help="Folder of the simulations (default: runs in --out).")] = None,
     box_file: BoxFile = None,
     method: Annotated[
-        str,
-        typer.Option(help="published: waves over the box; sequential: to the posterior, with the runs' derivatives (few runs)."),
-    ] = "published",
-    first: Annotated[int, typer.Option("--first-runs", min=10, help="Runs of the first wave.")] = 200,
-    following: Annotated[int, typer.Option("--wave-runs", min=1, help="Runs of each further wave.")] = 100,
-    max_waves: Annotated[int, typer.Option(min=1, help="Waves at most.")] = 5,
+        str | None,
+        typer.Option(
+            help="sequential: to the posterior, with the runs' derivatives (tens of runs); published: waves over the box "
+            "(hundreds). Default: sequential where a scene that tells derivatives is given with targets and no option of waves.",
+        ),
+    ] = None,
+    first: Annotated[int | None, typer.Option("--first-runs", min=10, help="published: runs of the first wave (200).")] = None,
+    following: Annotated[
+        int | None, typer.Option("--wave-runs", min=1, help="published: runs of each further wave (100).")
+    ] = None,
+    max_waves: Annotated[int | None, typer.Option(min=1, help="published: waves at most (5).")] = None,
     max_runs: Annotated[int | None, typer.Option(min=10, help="Budget: runs (10000; sequential: 60).")] = None,
-    hours: Annotated[float, typer.Option(min=0, help="Budget: no further wave that would end later than this.")] = float("inf"),
-    prior: Annotated[str, typer.Option(help="nroy: what history matching leaves; box: the whole box.")] = "nroy",
+    hours: Annotated[
+        float | None, typer.Option(min=0, help="published: no further wave that would end later than this (no limit).")
+    ] = None,
+    prior: Annotated[
+        str | None, typer.Option(help="published: nroy (default): what history matching leaves; box: the whole box.")
+    ] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Simulations side by side.")] = None,
     scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler.")] = None,
     ess: Annotated[float, typer.Option(min=1, help="Effective samples of every input; fewer are sooner there.")] = 5000,
@@ -66,9 +75,10 @@ def command(
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Waves of simulations, history matching, posterior, and the simulation at the most probable parameters.
+    """The posterior of a patient's parameters, from simulations that are made where they tell most.
 
-    Started again with the same --out it continues, and ends as if it had not been interrupted.
+    Started again with the same --out it continues, and ends as if it had not been interrupted. The published method (waves over
+    the box, history matching) stays: --method published.
 
     Example: lacli calibrate scene.toml --targets targets.toml --out patient_1
     """
@@ -85,19 +95,21 @@ def command(
         raise UsageError("give either --targets or --synthetic-truth.")
     if from_table is not None and synthetic:
         raise UsageError("--from-table needs --targets.")
-    if method not in ("published", "sequential"):
+    if method not in (None, "published", "sequential"):
         raise UsageError(f"--method {method}: must be published or sequential.")
     begin = time.monotonic()
+    of_waves = [option for option, value in (("--first-runs", first), ("--wave-runs", following), ("--max-waves", max_waves),
+                                             ("--hours", hours), ("--prior", prior)) if value is not None]  # fmt: skip
+    if method is None:
+        can = scene_file is not None and targets_file is not None and from_table is None and sensitivities and not of_waves
+        method = _default_method(scene_file, overrides) if can and scene_file is not None else "published"
     if method == "sequential":
         if scene_file is None or targets_file is None or from_table is not None:
             raise UsageError("--method sequential needs a SCENE that it can run, and --targets.")
         if not sensitivities:
             raise UsageError("--method sequential needs the runs' derivatives; leave --no-sensitivities out.")
-        if (first, following, max_waves, hours, prior) != (200, 100, 5, float("inf"), "nroy"):
-            raise UsageError(
-                "--method sequential makes no waves: --first-runs, --wave-runs, --max-waves, --hours and --prior are of the "
-                "published method."
-            )
+        if of_waves:
+            raise UsageError(f"--method sequential makes no waves: {', '.join(of_waves)} is of the published method.")
         space = read_box(box_file) if box_file else published_box()
         _seek(
             read_scene(scene_file, overrides, space), read_targets(targets_file), folder, as_json, box=space,
@@ -106,12 +118,12 @@ def command(
         )  # fmt: skip
         return
     settings = Settings(
-        first_runs=first,
-        wave_runs=following,
-        max_waves=max_waves,
+        first_runs=first or Settings.first_runs,
+        wave_runs=following or Settings.wave_runs,
+        max_waves=max_waves or Settings.max_waves,
         max_runs=max_runs or Settings.max_runs,
-        hours=hours,
-        prior=prior,
+        hours=Settings.hours if hours is None else hours,
+        prior=prior or Settings.prior,
         seed=seed,
         mcmc=Sampling(ess=ess),
     )
@@ -137,12 +149,23 @@ def command(
     _finish(found, as_json, time.monotonic() - begin)
 
 
+def _default_method(scene_file: Path, overrides: list[str] | None) -> str:
+    """Sequential where the scene's runs can tell derivatives; published otherwise, with a word."""
+    from lacli.api.sequential import lacking
+    from lacli.contracts.scene import load_scene
+
+    if words := lacking(load_scene(scene_file, overrides or [])):
+        err.print(f"note: {words} The published method is used.", highlight=False, soft_wrap=True)
+        return "published"
+    return "sequential"
+
+
 def _seek(scene: Scene, targets: Targets, folder: Path, as_json: bool, **options: Any) -> None:
     from lacli.api.sequential import seek
     from lacli.calibration.sequential.result import document
 
     begin = time.monotonic()
-    with stages() as show:
+    with _told() as show:
         found = seek(scene, targets, folder, progress=show, **options)
     result, wall_s = found.result, time.monotonic() - begin
     for note in result.notes:
@@ -169,6 +192,24 @@ def _seek(scene: Scene, targets: Targets, folder: Path, as_json: bool, **options
         )
     if result.refused:
         raise LacliError(result.refused)
+
+
+@contextmanager
+def _told() -> Iterator[Callable[[Progress], None]]:
+    """A bar on a terminal; elsewhere (a log of SLURM's) a line for each stage with the seconds since the start."""
+    if err.is_terminal:
+        with one_bar("calibration") as bar:
+            yield bar
+        return
+    begin, last = time.monotonic(), ""
+
+    def show(event: Progress) -> None:
+        nonlocal last
+        if event.stage != last:
+            last = event.stage
+            err.print(f"{time.monotonic() - begin:6.0f} s  {event.stage}", highlight=False, soft_wrap=True)
+
+    yield show
 
 
 def _truth(pairs: list[str] | None, box: Box) -> dict[str, float]:

@@ -51,7 +51,8 @@ def print_table(title: str, columns: list[str], rows: list[list[Any]]) -> None:
     """Print a table to standard output; floats with four significant digits."""
     table = Table(title=title, title_justify="left", header_style="bold")
     for index, column in enumerate(columns):
-        table.add_column(column, justify="left" if index == 0 else "right")
+        # names stay whole where there is little room; numbers have it anyway
+        table.add_column(column, justify="left" if index == 0 else "right", no_wrap=index == 0)
     for row in rows:
         table.add_row(*[f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in row])
     out.print(table)

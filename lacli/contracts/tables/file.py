@@ -50,6 +50,10 @@ def read_frame(path: Path) -> pd.DataFrame:
         raise TableError(
             f"{path}: the rows have more cells than the header line. Separate columns by commas, write decimals with points."
         ) from error
+    except UnicodeDecodeError as error:
+        with path.open("rb") as stream:
+            wide = stream.read(2) in (b"\xff\xfe", b"\xfe\xff")
+        raise TableError(f"{path}: the text is {'UTF-16' if wide else 'not UTF-8'}; save it as CSV in UTF-8.") from error
     except Exception as error:
         words = " ".join(str(error).split())[:300]
         raise TableError(f"{path}: cannot be read as a table ({words}). Use CSV with a header line, or Parquet.") from error

@@ -43,6 +43,8 @@ def _idealised(edp: float, esp: float) -> str:
 
 def of_calibration(result: Mapping[str, Any]) -> tuple[str, list[str]]:
     """The paragraph on a calibration, and the keys that it cites. result: the document of ``result.json``."""
+    if result.get("method") == "sequential":
+        return _sequential(result)
     waves = result["waves"]
     runs = sum(int(w["runs"]) for w in waves[-1:])
     names = ", ".join(str(row["input"]) for row in result["posterior"])
@@ -52,3 +54,19 @@ def of_calibration(result: Mapping[str, Any]) -> tuple[str, list[str]]:
         f" wave's table) and the affine-invariant sampler emcee ({SHORT['ForemanMackey2013']}; {result['samples']} samples kept)."
     )
     return text, ["Vernon2010", "ForemanMackey2013"]
+
+
+def _sequential(result: Mapping[str, Any]) -> tuple[str, list[str]]:
+    names = ", ".join(str(row["input"]) for row in result["posterior"])
+    out = result.get("targets_left_out") or ()
+    left = f" ({len(out)} more were left out: the runs do not tell them)" if out else ""
+    text = (
+        f"The inputs {names} were calibrated to {len(result['fit'])} features{left}. {result['runs']} runs, each with the"
+        f" derivatives of its features, were made: {result['runs_to_map']} to the most probable point by damped Gauss-Newton"
+        f" steps from several starts ({SHORT['Marquardt1963']}), the others where the error of a Gaussian-process emulator of"
+        f" values and derivatives ({SHORT['Morris1993']}) mattered most to the posterior; it may move its mean by"
+        f" {max(result['emulator_change_sd'].values()):.2f} standard deviations at most. The posterior was sampled with emcee"
+        f" ({SHORT['ForemanMackey2013']}; {result['samples']} samples kept). Other modes hold less than"
+        f" {max(float(result['probability_elsewhere']), 1e-4):.1g} of its probability, by the emulator over the whole box."
+    )
+    return text, ["Marquardt1963", "Morris1993", "ForemanMackey2013"]

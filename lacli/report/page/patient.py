@@ -22,13 +22,14 @@ _SAME = 0.01  # a parameter is the most probable one within this share
 _POSTERIOR = {"corner.png": "Posterior, by pairs of inputs.", "region.png": "What history matching leaves (NROY)."}
 _FIT = {"fit.png": "Targets, and the features of the posterior."}
 _DIAGNOSTICS = {"trace.png": "Traces of the sampler.", "outputs.png": "Features over the samples of each wave."}
-_NEEDED = ("posterior", "fit", "waves", "verdict", "samples", "converged", "stopped")
+_NEEDED = ("posterior", "fit", "verdict", "samples", "converged", "stopped")
 
 
 def read_result(folder: Path) -> dict[str, Any]:
     """The calibration's document. Raises InputError."""
     result = read_json(folder / RESULT, missing="no such file; is this the folder of a finished calibration?")
-    missing = [key for key in _NEEDED if not isinstance(result, dict) or key not in result]
+    needed = (*_NEEDED, "runs_by_stage" if isinstance(result, dict) and _sequential(result) else "waves")
+    missing = [key for key in needed if not isinstance(result, dict) or key not in result]
     if missing:
         raise InputError(f"{folder / RESULT}: {', '.join(missing)} is missing; is it a calibration's result?")
     found: dict[str, Any] = result
@@ -51,9 +52,16 @@ def patient_page(folder: Path, pictures: Path, run: Path | None, thickness: Thic
         before, cited = methods.of_run(one.scene, one.manifest.get("versions") or {})
         text, keys, manifest = f"{before} {text}", [*cited, *keys], one.manifest
     sections.append(closing(text, keys, manifest))
-    count = len(result["waves"])
-    lead = f"Calibration in {folder.name}: {count} wave{'s' if count > 1 else ''}; stopped because {result['stopped']}."
+    if _sequential(result):
+        made = f"{result['runs']} runs, sought by their derivatives"
+    else:
+        made = f"{len(result['waves'])} wave{'s' if len(result['waves']) > 1 else ''}"
+    lead = f"Calibration in {folder.name}: {made}; stopped because {result['stopped']}."
     return Page("A patient's left atrium", lead, tuple(sections))
+
+
+def _sequential(result: Mapping[str, Any]) -> bool:
+    return result.get("method") == "sequential"
 
 
 def _check_anatomy(folder: Path, run: Run) -> None:
@@ -104,7 +112,7 @@ def _posterior(folder: Path, result: Mapping[str, Any]) -> Section:
         for r in result["posterior"]
     )
     warnings = tuple(map(str, result["verdict"].get("warnings") or ()))
-    if not result["verdict"].get("plausible", True):
+    if not result["verdict"].get("plausible", True) and not _sequential(result):
         warnings = ("The most probable point misses a target by more than the threshold: this is no answer.", *warnings)
     return Section(
         "posterior", "Posterior", warnings, tables=(Table("Posterior", columns, rows),), figures=kept_pictures(folder, _POSTERIOR)
@@ -123,6 +131,14 @@ def _fit(folder: Path, result: Mapping[str, Any]) -> Section:
 
 
 def _diagnostics(folder: Path, result: Mapping[str, Any]) -> Section:
+    warnings = () if result["converged"] else ("The sampler did not converge.",)
+    said = f"{result['samples']} posterior samples, acceptance {number(result.get('acceptance'), 3)}."
+    pictures = kept_pictures(folder, _DIAGNOSTICS)
+    if _sequential(result):
+        stages = tuple((str(name), str(count)) for name, count in result["runs_by_stage"].items())
+        moved = tuple((name, number(value, 2)) for name, value in result["emulator_change_sd"].items())
+        tables = (Table("Runs", ("stage", "runs"), stages), Table("Emulator's part of the mean", ("input", "sd"), moved))
+        return Section("diagnostics", "Diagnostics", warnings, (said,), tables=tables, figures=pictures)
     columns = ("wave", "runs", "failed", "threshold", "NROY %", "change %", "worst R2")
     rows = []
     for w in result["waves"]:
@@ -131,10 +147,7 @@ def _diagnostics(folder: Path, result: Mapping[str, Any]) -> Section:
         percent = [number(None if v is None else 100 * float(v), 3) for v in (share, change)]
         rows.append((str(w["wave"]), str(w["runs"]), str(w["failed"]), number(w["threshold"]), *percent, number(worst)))
     notes = tuple(dict.fromkeys(str(note) for w in result["waves"] for note in w.get("notes") or ()))
-    warnings = () if result["converged"] else ("The sampler did not converge.",)
-    said = f"{result['samples']} posterior samples, acceptance {number(result.get('acceptance'), 3)}."
     table = Table("Waves of history matching", columns, tuple(rows))
-    pictures = kept_pictures(folder, _DIAGNOSTICS)
     return Section("diagnostics", "Diagnostics", warnings, (said, *notes), tables=(table,), figures=pictures)
 
 

@@ -38,6 +38,15 @@ _ENTRIES = {
         "Foreman-Mackey, D. and Hogg, D. W. and Lang, D. and Goodman, J.", "emcee: The MCMC Hammer",
         "Publications of the Astronomical Society of the Pacific", 2013, "306--312", "10.1086/670067",
     ),
+    "Marquardt1963": (
+        "Marquardt, D. W.", "An algorithm for least-squares estimation of nonlinear parameters",
+        "Journal of the Society for Industrial and Applied Mathematics", 1963, "431--441", "10.1137/0111030",
+    ),
+    "Morris1993": (
+        "Morris, M. D. and Mitchell, T. J. and Ylvisaker, D.",
+        "Bayesian design and analysis of computer experiments: use of derivatives in surface prediction", "Technometrics", 1993,
+        "243--255", "10.1080/00401706.1993.10485320",
+    ),
 }  # fmt: skip
 SHORT = {
     "Hecht2012": "Hecht 2012",
@@ -46,6 +55,8 @@ SHORT = {
     "Bols2013": "Bols et al. 2013",
     "Vernon2010": "Vernon et al. 2010",
     "ForemanMackey2013": "Foreman-Mackey et al. 2013",
+    "Marquardt1963": "Marquardt 1963",
+    "Morris1993": "Morris et al. 1993",
     "lacli": "lacli",
 }
 

@@ -1,0 +1,66 @@
+"""The emulator of the residuals as one of the targets' features, in their units: what other parts ask of emulators."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from lacli.base.arrays import FloatArray
+from lacli.base.errors import InputError
+from lacli.base.threads import single_threaded
+from lacli.calibration.sequential import branches
+from lacli.calibration.sequential.emulator import Components, fit
+from lacli.calibration.sequential.evidence import factor, gather
+from lacli.calibration.sequential.scale import Scale
+from lacli.contracts.targets import Targets
+from lacli.inference.box import Box
+from lacli.inference.runs import RunLog
+
+
+@dataclass(frozen=True)
+class Features:
+    """components: of the residuals against ``targets``; outputs: the features asked for, of the targets' names."""
+
+    components: Components
+    scale: Scale
+    targets: Targets
+    outputs: tuple[str, ...]
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the inputs."""
+        return self.scale.box.names
+
+    def training_inputs(self) -> FloatArray:
+        """Inputs (n, d) of the runs, in their units."""
+        return self.scale.to_x(self.components.z)
+
+    def select(self, outputs: Sequence[str]) -> Features:
+        """Of the named features, in that order."""
+        return replace(self, outputs=tuple(outputs))
+
+    def predict(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean and variance (m, p) of the features at x (m, d), in their units and squares."""
+        chosen = [self.targets.names.index(name) for name in self.outputs]
+        # residual = U c, feature = target + L residual
+        back = factor(self.targets)[chosen] @ self.components.rotation[: len(self.targets.names)]
+        mean, variance = self.components.predict(self.scale.to_z(x))
+        return self.targets.mean[chosen] + mean @ back.T, variance @ (back**2).T
+
+    predict_truth = predict  # runs are taken for exact: their own error is in the targets' covariance
+
+
+@single_threaded
+def features_of(file: Path, box: Box, targets: Targets) -> Features:
+    """The emulator of all runs in a calibration's ``runs.csv``. Raises InputError where none tells derivatives."""
+    log = RunLog(file, box.names, targets.names, None)
+    scale = Scale.of(box)
+    plain = replace(targets, priors=None)
+    evidence = gather(log, np.array(list(log.rows)), plain, scale)
+    if not evidence.told.any():
+        raise InputError(f"{file}: no run in it tells derivatives; calibrate again.")
+    evidence = evidence.take(~branches.look(evidence, plain).strays)
+    return Features(fit(evidence.z, evidence.residual, evidence.jacobian), scale, plain, targets.names)
