@@ -1,8 +1,9 @@
 """Tracking against synthetic gated CT whose motion is known: asked beside measured.
 
-    python benchmarks/track.py FOLDER [--patients 10] [--voxel-mm 1.0] [--order 1] [--from-seed 1]
+    python benchmarks/track.py FOLDER [--patients 10] [--voxel-mm 1.0 1.0 1.0] [--order 1] [--from-seed 1] [--used-frames 4]
 
-Patients that FOLDER holds already are used as they are. Prints a row a patient as it is done, and the table at the end.
+Patients and registrations that FOLDER holds already are used as they are: it goes on where it was ended. Prints a row a patient
+as it is done, and the table at the end. --there: only patients that are there already.
 """
 
 from __future__ import annotations
@@ -43,10 +44,11 @@ def patient(folder: Path, seed: int, arguments: argparse.Namespace) -> dict[str,
         point, positions = truth["point"], truth["positions"]
     sources = framing.find([folder / "frames"])
     times, _ = framing.cycle_times(sources, None)
+    used = slice(None, arguments.used_frames)
+    sources, times, positions = sources[used], times[used], positions[used]
+    settings = Settings(engine=arguments.engine, known_motions=arguments.known_motions)
     start, wall = time.process_time(), time.monotonic()
-    tracked = track(
-        bundle, sources, times, Settings(engine=arguments.engine), folder / f"registration-{arguments.engine}", lambda *_: None
-    )
+    tracked = track(bundle, sources, times, settings, folder / f"registration-{arguments.engine}", lambda *_: None)
     found = measured(tracked.course, tracked.model)
     own = time.process_time() - start
     row = errors(tracked, point, positions, Endocardium.of(bundle))
@@ -65,11 +67,15 @@ def errors(tracked: Tracked, point: Any, positions: Any, surface: Endocardium) -
         e[point] = x[point] - truth
         means.append(uncertainty.surface_error(surface, e))
     es = int(np.argmin(np.abs(tracked.course.times - tracked.course.phases.es)))
-    known = float(np.mean([k.whole["global"] for _, k in tracked.known]))
+
+    def ratio(part: str) -> float:
+        stated = np.mean([getattr(k, part)["global"] for _, k in tracked.known])
+        return float(np.mean([getattr(m, part)["global"] for m in means[1:]]) / stated)
+
     return {
         "es": means[es].whole["global"], "es_normal": means[es].normal["global"], "es_tangential": means[es].tangential["global"],
         "worst": max(m.whole["global"] for m in means),
-        "true_over_known": float(np.mean([m.whole["global"] for m in means[1:]])) / known,
+        "true_over_stated_normal": ratio("normal"), "true_over_stated_tangential": ratio("tangential"),
     }  # fmt: skip
 
 
@@ -77,6 +83,7 @@ def volume_error(tracked: Tracked, folder: Path) -> dict[str, float]:
     """Root mean square and largest error of the volume over frames, and of ESV, as shares of the EDV."""
     truth = pd.read_csv(folder / "truth" / "transients.csv")["volume_ml"].to_numpy()
     got = np.array([row["volume_ml"] for row in tracked.course.features])
+    truth = truth[: len(got)]
     error = (got - truth) / truth[0]
     es = json.loads((folder / "truth" / "es.json").read_text())
     return {
@@ -119,7 +126,8 @@ def table(rows: list[dict[str, Any]]) -> None:
         ("regional targets within 2 sd", "93 - 97 %", f"{100 * inside:.1f} %"),
         ("volume transient, rms / largest, % of EDV", "<= 1", f"{100 * over('volume_rms'):.2f} / {100 * over('volume_max'):.2f}"),
         ("CPU s / peak MB of an engine", "<= 300 / 3000 at 0.45 mm", f"{over('cpu_s'):.0f} / {over('peak_mb'):.0f}"),
-        ("true over known-motion error", f"factor {uncertainty.SMOOTHER} at 1 mm", f"{over('true_over_known', np.mean):.2f}"),
+        ("true over stated error, normal (mean)", "1", f"{over('true_over_stated_normal', np.mean):.2f}"),
+        ("true over stated error, tangential (mean)", "1", f"{over('true_over_stated_tangential', np.mean):.2f}"),
     ):
         print(f"{what:48s} {asked:26s} {got}")
     print("rms of (value - truth) / sd and share within 2 sd, by kind of target:")
@@ -140,9 +148,14 @@ def main() -> None:
     parser.add_argument("--volume-ml", type=float, help="of every atrium; default: each seed's own")
     parser.add_argument("--order", type=int, default=2)
     parser.add_argument("--engine", default="greedy")
+    parser.add_argument("--used-frames", type=int, help="only the first so many of each patient's")
+    parser.add_argument("--known-motions", type=int, default=Settings.known_motions)
+    parser.add_argument("--there", action="store_true", help="make no patient")
     arguments = parser.parse_args()
     rows = []
     for seed in range(arguments.from_seed, arguments.from_seed + arguments.patients):
+        if arguments.there and not (arguments.folder / f"patient{seed:02d}" / "gated.json").is_file():
+            continue
         rows.append(patient(arguments.folder / f"patient{seed:02d}", seed, arguments))
         shown = {k: round(v, 4) for k, v in rows[-1].items() if k != "z"}
         print(json.dumps(shown), flush=True)

@@ -9,7 +9,20 @@ from pathlib import Path
 # as a study goes; a command that is not named here follows these, by its name
 ORDER = (
     *("doctor", "synthesize", "segment", "mesh", "fat", "track", "simulate", "verify", "tradeoff"),
-    *("design", "emulate", "sensitivity", "match", "posterior", "calibrate", "compare", "cohort", "stats", "study", "report"),
+    *(
+        "design",
+        "emulate",
+        "sensitivity",
+        "match",
+        "posterior",
+        "calibrate",
+        "compare",
+        "validate",
+        "cohort",
+        "stats",
+        "study",
+        "report",
+    ),
 )
 _HEAD = "\ndef command("
 _QUOTES = '"""'

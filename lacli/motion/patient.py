@@ -17,6 +17,7 @@ from lacli.base.errors import UsageError
 from lacli.contracts.bundle import Bundle
 from lacli.motion import frames as framing
 from lacli.motion import tracking, uncertainty
+from lacli.motion.axes import nodal_axes
 from lacli.motion.frames import Source
 from lacli.motion.registration import ENGINES
 from lacli.motion.targets import Course
@@ -51,8 +52,11 @@ class Settings:
 
 @dataclass(frozen=True)
 class Tracked:
-    """The course of the bundle's points, the errors measured, and how. known: its frame's time and surface error for each;
-    ed_residual: ED registered to itself with fresh noise (or, ``closure_mm``, to a frame at the end of the cycle)."""
+    """The course of the bundle's points, the errors measured, and how.
+
+    known: time and surface error of each frame whose motion was applied, as a true motion would have it; ed_residual: that of
+    end-diastole registered to itself with fresh noise (or, ``closure_mm``, to a frame at the end of the cycle).
+    """
 
     course: Course
     model: ErrorModel
@@ -90,23 +94,22 @@ def track(
         [k.pair for k in known], settings.engine, folder, settings.workers, monitor, "measuring the error by known motion"
     )
     found = [f.at(bundle.points) for f in again.fields]
-    errors = []
-    for k, u in zip(known[1:], found[1:], strict=True):
-        right, got = surface.features(bundle.points + k.displacement), surface.features(bundle.points + u)
+    normal = nodal_axes(bundle, surface)["normal"]
+    errors, by_frame = [], []
+    for i, k, u in zip(chosen, known[1:], found[1:], strict=True):
+        error = uncertainty.as_of_a_true_motion(u - k.displacement, normal)
+        right, got = (surface.features(bundle.points + k.displacement + e) for e in (np.zeros_like(error), error))
         errors.append({key: got[key] - right[key] for key in right})
-    factor = uncertainty.known_motion_factor(float(images[0].spacing.max()))
-    model = uncertainty.error_model(errors, factor)
-    by_frame = [
-        (float(times[i + 1]), uncertainty.surface_error(surface, u - k.displacement))
-        for i, k, u in zip(chosen, known[1:], found[1:], strict=True)
-    ]
+        by_frame.append((float(times[i + 1]), uncertainty.surface_error(surface, error)))
+    model = uncertainty.error_model(errors)
     info = {
         "engine": settings.engine,
         "engine_settings": ENGINES[settings.engine].settings,
         "work_mm": settings.work_mm,
         "voxels": int(images[0].array.size),
         "noise_hu": float(mean.noise_hu),
-        "known_motion_factor": factor,
+        "true_over_known_normal": uncertainty.EASIER[0],
+        "true_over_known_tangential": uncertainty.EASIER[1],
         "endocardium_that_fits_ed": share,
         "registration_cpu_s": run.cpu_s + again.cpu_s,
         "peak_memory_mb": max(run.peak_memory_mb, again.peak_memory_mb),

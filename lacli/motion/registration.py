@@ -21,8 +21,8 @@ from lacli.base.processes.process import supervise
 from lacli.motion.field import Field, from_sitk, read_field, to_sitk, write_field
 
 TIMEOUT_S = 1800.0
-# of cardiac CT at 1 mm: correlation in patches of 5 voxels, three levels, the update smoothed by 3 voxels and the whole by 1
-GREEDY = ("-m", "NCC", "2x2x2", "-n", "60x40x10", "-s", "3.0vox", "1.0vox")
+# of cardiac CT at 1 mm: correlation in patches of 7 voxels, three levels, the update smoothed by 4 voxels and the whole by 1
+GREEDY = ("-m", "NCC", "3x3x3", "-n", "60x40x30", "-s", "4.0vox", "1.0vox")
 DEMONS_LEVELS, DEMONS_STEPS, DEMONS_SD = (4, 2, 1), 60, 1.5
 HU_WINDOW = (-150.0, 400.0)
 

@@ -21,6 +21,7 @@ from lacli.contracts.features import parse
 from lacli.contracts.tables.covariance import write_covariance
 from lacli.geometry.subdivision import straight
 from lacli.motion.annulus import annulus_points
+from lacli.motion.axes import nodal_axes
 from lacli.motion.patient import Tracked
 from lacli.motion.phases import Phases
 from lacli.motion.targets import Covaried
@@ -58,21 +59,6 @@ def write_series(folder: Path, bundle: Bundle, surface: Endocardium, times: Floa
     head = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1">', "  <Collection>"]
     write_text(folder / "series.pvd", "\n".join([*head, *entries, "  </Collection>", "</VTKFile>"]) + "\n")
     return folder / "series.pvd"
-
-
-def nodal_axes(bundle: Bundle, surface: Endocardium) -> dict[str, FloatArray]:
-    """Unit vectors (n, 3) at the bundle's points, means of the endocardial faces around: normal, alpha, beta; 0 elsewhere."""
-    result = {}
-    for name, vectors in (("normal", surface.normal), ("alpha", surface.alpha), ("beta", surface.beta)):
-        if vectors is None:
-            continue
-        mean = (surface.area[..., None] * vectors).sum(axis=1)
-        total = np.zeros((len(bundle.points), 3))
-        for k in range(surface.faces.shape[1]):
-            np.add.at(total, surface.faces[:, k], mean)
-        size = np.linalg.norm(total, axis=1, keepdims=True)
-        result[name] = np.divide(total, size, out=np.zeros_like(total), where=size > 0)
-    return result
 
 
 def check_replaceable(folder: Path) -> None:
@@ -129,13 +115,12 @@ def write_covaried(folder: Path, found: Covaried, phases: Phases, engine: str) -
 
 
 def _mean_error(tracked: Tracked) -> tuple[float, float]:
-    """Means over the known motions, mm, with the factor by which known motions are easier; where none was made, as stated."""
+    """Means over the known motions, mm; where none was made, as stated."""
     if not tracked.known:
         return float(tracked.info["error_normal_mm"]), float(tracked.info["error_tangential_mm"])
     normal = [error.normal["global"] for _, error in tracked.known]
     tangential = [error.tangential["global"] for _, error in tracked.known]
-    factor = float(tracked.info["known_motion_factor"])
-    return factor * float(np.mean(normal)), factor * float(np.mean(tangential))
+    return float(np.mean(normal)), float(np.mean(tangential))
 
 
 def _errors(tracked: Tracked) -> dict[str, Any]:

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from lacli.anatomy.inputs.image import Image
@@ -20,17 +22,12 @@ from lacli.motion.field import Field, pull
 from lacli.motion.tracking import Pair
 
 SEED = 20260420
-# The applied motion is a tracked one, already as smooth as the engine makes it, so the engine finds it more easily than it found
-# the true one: true errors are this many times those of the known motion, a mean over few synthetic cases (benchmarks/track.py).
-SMOOTHER = 1.35
-# of images of 1.0 mm (one atrium, two motions: 1.2, 1.4); at 1.5 mm it was 1.4 - 1.7 (three atria), from which this follows
-SMOOTHER_PER_MM = 0.5
+# The applied motion is a tracked one, already as smooth as the engine makes it, and is found more easily than the true one was:
+# true errors over those of known motions, along the normal and tangential, of the training cases (docs/methods.md).
+EASIER = (1.9, 1.4)
+_UNCORRELATED = 0.02
+_WINDOW = 5  # voxels of the local mean and variance
 _PRIOR_SAMPLES = 8.0
-
-
-def known_motion_factor(voxel_mm: float) -> float:
-    """True errors over those of known motions, in voxels of that size."""
-    return SMOOTHER + SMOOTHER_PER_MM * max(0.0, voxel_mm - 1.0)
 
 
 @dataclass(frozen=True)
@@ -58,15 +55,20 @@ def surface_error(surface: Endocardium, error: FloatArray) -> SurfaceError:
     return SurfaceError(*result)
 
 
+def as_of_a_true_motion(error: FloatArray, normal: FloatArray) -> FloatArray:
+    """The error (n, 3) mm that a true motion would have where the known one has ``error``; normal (n, 3): unit or 0."""
+    along = (error * normal).sum(axis=1, keepdims=True) * normal
+    return EASIER[0] * along + EASIER[1] * (error - along)
+
+
 @dataclass(frozen=True)
 class Template:
-    """The patient's end-diastole with little noise: mean of all frames pulled back to it; the noise of one frame, sd (HU), and
-    its correlation over a voxel's step."""
+    """The patient's end-diastole with next to no noise: mean of all frames pulled back to it, cleaned; the noise of one frame,
+    sd (HU), and its correlation over a voxel's step."""
 
     image: Image
     noise_hu: float
     correlation: float
-    left: float  # share of one frame's noise variance still in the mean
 
 
 def template(ed: Image, frames: Sequence[Image], fields: Sequence[Field]) -> Template:
@@ -84,17 +86,34 @@ def template(ed: Image, frames: Sequence[Image], fields: Sequence[Field]) -> Tem
     lag = (
         float((rest[..., 1:] * rest[..., :-1])[both].mean() / max(float((rest[small] ** 2).mean()), 1e-12)) if both.any() else 0.0
     )
-    return Template(ed.with_array(mean.astype(np.float32)), size, float(np.clip(lag, 0.0, 0.9)), 1.0 / len(frames))
+    lag = float(np.clip(lag, 0.0, 0.9))
+    return Template(ed.with_array(cleaned(mean, size / np.sqrt(len(frames)))), size, lag)
+
+
+def cleaned(array: NDArray[Any], noise: float) -> NDArray[np.float32]:
+    """Without noise of that sd where the local variance is no more than its own (Lee 1980, IEEE Trans PAMI 2:165).
+
+    Noise that the mean of the frames still has would move with the known motion, as the tissue does; inside blood and muscle,
+    where there is nothing else, it would be what the engine tracks, and the error would be found too small.
+    """
+    x = array.astype(np.float64)
+    mean = ndimage.uniform_filter(x, _WINDOW)
+    variance = np.maximum(ndimage.uniform_filter((x - mean.mean()) ** 2, _WINDOW) - (mean - mean.mean()) ** 2, 1e-9)
+    return np.asarray(mean + np.maximum(1.0 - noise**2 / variance, 0.0) * (x - mean), dtype=np.float32)
+
+
+def _width(correlation: float) -> float:
+    """s of smoothed white noise from its correlation exp(-1 / (4 s^2)) over a step."""
+    return float(np.sqrt(-1.0 / (4.0 * np.log(correlation)))) if correlation > _UNCORRELATED else 0.0
 
 
 def noisy(image: Image, of: Template, rng: np.random.Generator) -> Image:
     """The image with fresh noise like a frame's."""
     noise = rng.normal(size=image.array.shape).astype(np.float32)
-    if of.correlation > 0.02:
-        # white noise smoothed by s has the correlation exp(-1 / (4 s^2)) over a step
-        noise = ndimage.gaussian_filter(noise, float(np.sqrt(-1.0 / (4.0 * np.log(of.correlation)))))
+    if of.correlation > _UNCORRELATED:
+        noise = ndimage.gaussian_filter(noise, _width(of.correlation))
         noise /= noise.std()
-    return image.with_array(image.array + np.float32(of.noise_hu * np.sqrt(1.0 - of.left)) * noise)
+    return image.with_array(image.array + np.float32(of.noise_hu) * noise)
 
 
 @dataclass(frozen=True)
@@ -149,7 +168,7 @@ def kind_of(key: str) -> tuple[str, str]:
     return ("d_global" if key == "d_global_mm" else key.removesuffix("_ml")), ""
 
 
-def error_model(errors: Sequence[Mapping[str, float]], factor: float = SMOOTHER) -> ErrorModel:
+def error_model(errors: Sequence[Mapping[str, float]]) -> ErrorModel:
     """From the features' errors in several known motions.
 
     A region's sd is drawn towards that of its kind over all regions, since few motions tell it. Correlations are means over
@@ -157,7 +176,7 @@ def error_model(errors: Sequence[Mapping[str, float]], factor: float = SMOOTHER)
     feature's errors in two motions.
     """
     keys = tuple(errors[0])
-    e = factor * np.array([[row[key] for key in keys] for row in errors])
+    e = np.array([[row[key] for key in keys] for row in errors])
     kinds = [kind_of(key) for key in keys]
     names = [kind for kind, _ in kinds]
     pooled = {kind: float(np.mean(e[:, [i for i, n in enumerate(names) if n == kind]] ** 2)) for kind in set(names)}

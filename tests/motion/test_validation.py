@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from typer.testing import CliRunner
 
 from lacli.api.validation import validate
 from lacli.base.errors import InputError, UsageError
+from lacli.cli.main import build
 from lacli.motion.validation import compare
 
 TIMES = np.arange(10) / 10
@@ -78,3 +80,28 @@ def test_bad_input_is_one_message(tmp_path: Path) -> None:
     damaged.loc[3, "d_roof_mm"] = np.nan
     with pytest.raises(InputError, match="not finite"):
         compare(damaged, course(), {})
+
+
+def at_terminal(*arguments: str) -> str:
+    result = CliRunner().invoke(build({"validate"}), ["validate", *arguments], catch_exceptions=False)
+    assert result.exit_code == 0
+    return result.stdout
+
+
+def test_the_command_writes_and_shows_both_tables(tmp_path: Path) -> None:
+    run, motion = folders(tmp_path)
+    call = [str(run), "--motion", str(motion), "--out", str(tmp_path / "out")]
+    shown = json.loads(at_terminal(*call, "--json"))
+    # the simulation ends at .7 of ten frames, so .8 and .9 are left; d_roof is .3 off in each of seven, three sd of .1
+    assert [row["time"] for row in shown["frames"]] == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7])
+    assert shown["frames_left_out"] == 2
+    assert [row["d"] for row in shown["frames"]] == pytest.approx([0.3] * 7)
+    assert [row["in_sd"] for row in shown["frames"]] == pytest.approx([3.0] * 7)
+    assert [row["used"] for row in shown["frames"]] == [False, False, False, True, False, False, False]
+    kinds = {row["kind"]: row for row in shown["kinds"]}
+    assert kinds["d"]["used"] is None and kinds["volume"]["values_used"] == 1
+    text = at_terminal(*call)
+    assert "by frame" in text and "by kind" in text and "validation.png" in text
+    with pytest.raises(InputError, match="no such file"):
+        at_terminal(str(tmp_path / "none"), "--motion", str(motion), "--out", str(tmp_path / "other"))
+    assert not (tmp_path / "other").exists()
