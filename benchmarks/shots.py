@@ -25,6 +25,7 @@ import numpy as np
 import pandas as pd
 import psutil
 import records
+from sameness import same
 
 from lacli.contracts.bundle import save
 from lacli.contracts.motion import save_motion
@@ -182,21 +183,6 @@ def chains(at: Path) -> object:
     with np.load(at / "calibration" / "chain.npz", allow_pickle=False) as arrays:
         content = {name: arrays[name].tolist() for name in arrays.files}
     return {"chain": content, "result": json.loads((at / "calibration" / "result.json").read_text())["posterior"]}
-
-
-def same(one: object, other: object) -> str:
-    """``bit``, ``tolerance`` (numbers within 1e-6 of each other) or ``NO``."""
-    if repr(one) == repr(other):
-        return "bit"
-    if isinstance(one, dict) and isinstance(other, dict) and one.keys() == other.keys():
-        kinds = {same(one[key], other[key]) for key in one}
-    elif isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
-        kinds = {same(a, b) for a, b in zip(one, other, strict=True)}
-    elif isinstance(one, float) and isinstance(other, float) and abs(one - other) <= 1e-6 * max(1.0, abs(one)):
-        return "tolerance"
-    else:
-        return "NO"
-    return "NO" if "NO" in kinds else "tolerance" if "tolerance" in kinds else "bit"
 
 
 def marked(mark: str) -> list[psutil.Process]:

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from lacli.inference.sampling.posterior import Settings as SamplingSettings
     from lacli.mechanics.installation import Check as InstallationCheck
     from lacli.mechanics.simulation import RunResult
-    from lacli.motion.validation import Validation
+    from lacli.motion.check.validation import Validation
     from lacli.verification.problems import Check as VerificationCheck
 
 __all__ = [
@@ -126,7 +126,7 @@ _HOMES = {
     "lacli.contracts.targets": ("Targets", "read_targets"),
     "lacli.inference.box": ("Box", "make_box", "read_box"),
     "lacli.inference.emulation.emulator_set": ("EmulatorSet", "load_emulators", "save_emulators"),
-    "lacli.motion.validation": ("Validation",),
+    "lacli.motion.check.validation": ("Validation",),
     "lacli.mechanics.simulation": ("RunResult",),
 }
 _HOME = {name: (home, name) for home, names in _HOMES.items() for name in names} | {

@@ -11,7 +11,7 @@ from lacli.api.progress import Cancel, OnProgress, Stage
 from lacli.base.errors import UsageError
 
 if TYPE_CHECKING:
-    from lacli.calibration.sequential.information import Forecast
+    from lacli.calibration.sequential.draw.information import Forecast
     from lacli.calibration.sequential.result import Sequential
     from lacli.calibration.sequential.search import Settings, Status
     from lacli.calibration.simulator import SceneSimulator

@@ -10,7 +10,7 @@ from lacli.base.errors import InputError, UsageError
 if TYPE_CHECKING:
     import pandas as pd
 
-    from lacli.motion.validation import Validation
+    from lacli.motion.check.validation import Validation
 
 
 def validate(run: Path, motion: Path, *, targets: Path | None = None, out: Path | None = None) -> Validation:
@@ -24,7 +24,7 @@ def validate(run: Path, motion: Path, *, targets: Path | None = None, out: Path 
     from lacli.base.documents import read_json
     from lacli.base.files import check_folder, replacing
     from lacli.contracts.targets import read_targets
-    from lacli.motion.validation import compare
+    from lacli.motion.check.validation import compare
     from lacli.report.validation_figures import transients
 
     if out is not None:

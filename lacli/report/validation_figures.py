@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from lacli.contracts.labels import BODY_REGIONS, REGION_COLOURS
-from lacli.motion.validation import Validation
+from lacli.motion.check.validation import Validation
 from lacli.report.style import paper
 
 _ROWS = (("volume_ml", "volume, change (mL)"), ("d_{}_mm", "|u| (mm)"), ("n_{}_mm", "normal (mm)"), ("a_{}_mm", "alpha (mm)"),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from membranes import INPUTS, OUTPUTS, Membranes, box, respond
 
-from lacli.calibration.sequential.information import by_group, forecast, group_of
+from lacli.calibration.sequential.draw.information import by_group, forecast, group_of
 from lacli.calibration.sequential.scale import Scale
 from lacli.contracts.targets import Targets
 from lacli.inference.runs import RunLog, runs_identity

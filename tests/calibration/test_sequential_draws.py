@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lacli.calibration.sequential import chain, draws, emulator, modes
+from lacli.calibration.sequential import emulator, modes
+from lacli.calibration.sequential.draw import chain, draws
 from lacli.calibration.sequential.laplace import Laplace
 from lacli.calibration.sequential.scale import Scale
 from lacli.calibration.sequential.verdict import unlearned

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from lacli.api.validation import validate
 from lacli.base.errors import InputError, UsageError
 from lacli.cli.main import build
-from lacli.motion.validation import compare
+from lacli.motion.check.validation import compare
 
 TIMES = np.arange(10) / 10
 

@@ -13,7 +13,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from lacli.contracts.labels import BODY_REGIONS, REGION_COLOURS
-from lacli.motion.validation import Validation
+from lacli.motion.check.validation import Validation
 from lacli.report import calibration_figures, motion_figures, segmentation_figures, validation_figures
 
 TIMES = np.array([0.0, 0.2, 0.4, 0.7])

@@ -21,12 +21,12 @@ from lacli.base.files import write_json
 from lacli.base.threads import single_threaded
 from lacli.calibration.calibration import obstacle
 from lacli.calibration.sequential import change, descent, modes
-from lacli.calibration.sequential.chain import sample
 from lacli.calibration.sequential.descent import Incumbent
-from lacli.calibration.sequential.draws import LEAST_EFFECTIVE, draw
+from lacli.calibration.sequential.draw.chain import sample
+from lacli.calibration.sequential.draw.draws import LEAST_EFFECTIVE, draw
+from lacli.calibration.sequential.draw.information import Forecast, forecast
 from lacli.calibration.sequential.emulator import Components, fit
 from lacli.calibration.sequential.evidence import Evidence
-from lacli.calibration.sequential.information import Forecast, forecast
 from lacli.calibration.sequential.laplace import Laplace
 from lacli.calibration.sequential.result import Sequential, document, result_of
 from lacli.calibration.sequential.search import Monitor, Search, Settings

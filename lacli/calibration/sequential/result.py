@@ -9,9 +9,9 @@ import numpy as np
 
 from lacli.base.arrays import FloatArray
 from lacli.calibration.sequential import modes
+from lacli.calibration.sequential.draw.information import by_group
 from lacli.calibration.sequential.emulator import Components
 from lacli.calibration.sequential.evidence import Evidence
-from lacli.calibration.sequential.information import by_group
 from lacli.calibration.sequential.laplace import Laplace
 from lacli.calibration.sequential.outputs import Features
 from lacli.calibration.sequential.search import Search

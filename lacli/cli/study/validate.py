@@ -15,7 +15,7 @@ from lacli.cli.terminal.tables import Json
 if TYPE_CHECKING:
     import pandas as pd
 
-    from lacli.motion.validation import Validation
+    from lacli.motion.check.validation import Validation
 
 
 def command(

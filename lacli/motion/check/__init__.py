@@ -1,0 +1,1 @@
+"""Simulated motion held against the tracked one."""
