@@ -5,6 +5,7 @@ Used by robustness.py. A shot lands when its victim is there to be hit; one that
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import json
 import os
@@ -173,8 +174,6 @@ def rows(at: Path) -> object:
 
 def bundle_of(at: Path) -> object:
     """A bundle's files."""
-    import hashlib
-
     return {name: hashlib.sha256((at / "bundle" / name).read_bytes()).hexdigest() for name in ("wall.vtu", "boundary.vtp")}
 
 
