@@ -41,7 +41,7 @@ def command(
         print_json({"folder": str(folder), **document(found)})
         return
     frames, kinds = found.by_frame(), found.by_kind()
-    print_table("RMS difference by frame", ["time", "used", *list(frames)[2:]], _rows(frames))
+    print_table("RMS difference by frame", ["time", "used", *map(str, frames.columns[2:])], _rows(frames))
     print_table("RMS difference by kind of feature", ["kind", "unit", "used frames", "other frames"],
                 [row[:4] for row in _rows(kinds)])  # fmt: skip
     if found.left_out:
