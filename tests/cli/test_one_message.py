@@ -14,7 +14,7 @@ from lacli.cli.commands import commands
 from lacli.cli.inference import calibrate, design, emulate, match, posterior, sensitivity
 from lacli.cli.main import build
 from lacli.cli.mechanics import doctor, simulate, tradeoff, verify
-from lacli.cli.study import cohort, compare, report, stats
+from lacli.cli.study import cohort, compare, report, stats, validate
 
 CASES: list[tuple[types.ModuleType, list[str], str]] = [
     (mesh, ["none.nrrd", "--out", "out"], "none.nrrd"),
@@ -40,6 +40,7 @@ CASES: list[tuple[types.ModuleType, list[str], str]] = [
     (compare, ["out", "--targets", "none.toml"], "out"),
     (cohort, ["none.csv", "--out", "out"], "none.csv"),
     (report, ["none"], "none"),
+    (validate, ["none", "--motion", "none", "--out", "out"], "none"),
     (stats, ["none.csv", "--response", "d_mm"], "none.csv"),
 ]
 

@@ -48,7 +48,7 @@ def test_a_command_is_one_file(copy: Path) -> None:
 def test_a_feature_is_two_lines_in_two_files(copy: Path) -> None:
     table, measure = copy / "lacli/contracts/features.py", copy / "lacli/anatomy/surface_features.py"
     for file, line, new in (
-        (table, '    "n_{}_mm": (', '    "z_{}_mm": ("mm", "mean of u along z"),\n'),
+        (table, '    "n_{}_mm": (', '    "z_{}_mm": ("mm", _ALONG, "mean of u along z"),\n'),
         (measure, "        # each region's mean of every field\n", '        fields["z_{}_mm"] = moved[..., 2]\n'),
     ):
         text = file.read_text(encoding="utf-8")
