@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import io
 import warnings
 from collections.abc import Iterator
+from typing import Any
 
 
 @contextlib.contextmanager
@@ -30,6 +32,13 @@ def quiet(*, meshio: bool = False) -> Iterator[None]:
     finally:
         vtkLogger.SetStderrVerbosity(vtkLogger.ConvertToVerbosity(verbosity))
         vtkObject.SetGlobalWarningDisplay(shown)
+
+
+def arviz() -> Any:
+    """The library ArviZ; kept back is what it says of its own next version at the first import of a day."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return importlib.import_module("arviz")
 
 
 def reason(error: BaseException, most: int = 200) -> str:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lacli.base import quiet
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import UsageError
 from lacli.calibration.sequential.outputs import Features
@@ -184,8 +185,7 @@ def pointwise_log_likelihood(mean: FloatArray, variance: FloatArray, targets: Ta
 
 
 def _loo(pointwise: FloatArray) -> tuple[float, float, float, float]:
-    import arviz as az
-
+    az = quiet.arviz()
     m = len(pointwise)
     data = az.from_dict(posterior={"draw_number": np.arange(m, dtype=float)[None]}, log_likelihood={"y": pointwise[None]})
     with warnings.catch_warnings():

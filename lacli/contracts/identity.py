@@ -30,6 +30,7 @@ METHODS: dict[str, int] = {
     "runs": 1, "calibration": 1, "emulators": 1, "region": 2, "chain": 2, "accuracy": 2, "figures": 1, "result": 1,
 }  # fmt: skip
 _SHOWN = 6  # differences named in a message
+_EXACT = 2**53  # whole numbers below it are the same as floats
 _LISTED = 32  # numbers of an array that are kept as they are, so that a message can show them; longer ones as a digest
 
 
@@ -42,7 +43,9 @@ class Identity:
     digest: str = dataclasses.field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "digest", content_hash({"kind": self.kind, "content": dict(self.content)}))
+        # contents that are equal have one digest: 1.0 and 1 are the same number, and -0.0 is 0
+        content = {key: _canonical(value) for key, value in self.content.items()}
+        object.__setattr__(self, "digest", content_hash({"kind": self.kind, "content": content}))
 
     def document(self) -> dict[str, Any]:
         """As it is written beside what is kept."""
@@ -101,8 +104,16 @@ def plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} does not say what determines it")
 
 
+def _canonical(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_canonical(inner) for inner in value]
+    return float(value) if isinstance(value, (int, float)) and abs(value) < _EXACT else value
+
+
 def _fields(value: Any) -> dict[str, Any]:
     content = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+    if hasattr(value, "as_given"):
+        content |= value.as_given()
     names = content.get("names")
     if isinstance(names, tuple):
         for key, inner in content.items():

@@ -30,7 +30,7 @@ _NOTHING, _LARGEST = 1e-100, 1e100
 class Targets:
     """Targets of features by name: names (p,), mean (p,) and sd (p,) in the features' own units; covariance (p, p) of the errors,
     None: independent; priors of the simulator's inputs, None: uniform; added (p,): what of sd is not the measurement's, None:
-    nothing (``widened``)."""
+    nothing (``widened``); measured (p,): what of it is, None: all."""
 
     names: tuple[str, ...]
     mean: FloatArray
@@ -38,11 +38,16 @@ class Targets:
     covariance: FloatArray | None = None
     priors: tuple[Prior, ...] | None = None
     added: FloatArray | None = None
+    measured: FloatArray | None = None
 
     @property
     def own_sd(self) -> FloatArray:
         """(p,) standard deviations of the measurement alone."""
-        return self.sd if self.added is None else np.sqrt(np.maximum(self.sd**2 - self.added**2, 0.0))
+        return self.sd if self.measured is None else self.measured
+
+    def as_given(self) -> dict[str, Any]:
+        """The fields that stand for others where it is asked what determines a result: measured and added errors apart."""
+        return {"sd": self.own_sd, "measured": None}
 
     def select(self, names: Sequence[str]) -> Targets:
         """The targets in the order of ``names``; TableError if one is missing."""
@@ -51,8 +56,8 @@ class Targets:
             raise TableError(f"targets: no value for {', '.join(missing)}; there are {', '.join(self.names)}.")
         j = [self.names.index(name) for name in names]
         covariance = None if self.covariance is None else self.covariance[np.ix_(j, j)]
-        added = None if self.added is None else self.added[j]
-        return Targets(tuple(names), self.mean[j], self.sd[j], covariance, self.priors, added)
+        added, measured = (None if value is None else value[j] for value in (self.added, self.measured))
+        return Targets(tuple(names), self.mean[j], self.sd[j], covariance, self.priors, added, measured)
 
     def widened(self, errors: Mapping[str, float], correlation: FloatArray | None = None) -> Targets:
         """The targets with errors (sd, in the features' units) of what is held against them added to their own.
@@ -64,9 +69,9 @@ class Targets:
         added = np.diag(more**2) if correlation is None else np.outer(more, more) * correlation
         sd = np.sqrt(self.sd**2 + more**2)
         if self.covariance is None and np.array_equal(added, np.diag(np.diag(added))):
-            return Targets(self.names, self.mean, sd, None, self.priors, np.hypot(before, more))
+            return Targets(self.names, self.mean, sd, None, self.priors, np.hypot(before, more), self.own_sd)
         own = np.diag(self.sd**2) if self.covariance is None else self.covariance
-        return Targets(self.names, self.mean, sd, own + added, self.priors, np.hypot(before, more))
+        return Targets(self.names, self.mean, sd, own + added, self.priors, np.hypot(before, more), self.own_sd)
 
 
 def read_targets(path: Path) -> Targets:

@@ -169,7 +169,7 @@ def rerun(folder: Path, on_progress: OnProgress | None = None) -> tuple[dict[str
         if outcome.kind is not None and not results.stand(place):
             raise SimulationError(outcome.kind, f"{folder}: the second run failed ({outcome.kind}): {outcome.message}")
         after, _ = collect(case, place, cpu_s=outcome.cpu_s, peak_memory_mb=outcome.peak_memory_mb)
-    return before, after
+    return with_errors(case.scene, case.bundle, before), with_errors(case.scene, case.bundle, after)
 
 
 def _scene_of(folder: Path, record: str) -> Scene:

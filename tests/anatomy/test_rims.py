@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from shapes import icosphere
 
 from lacli.anatomy.cuts.caps import crosses_itself, harmonic_heights, rim_loops, triangulate_loop
-from lacli.anatomy.cuts.clipping import cut
+from lacli.anatomy.cuts.clipping import SNAP, cut
 from lacli.base.errors import AnatomyError
 
 TURN = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
@@ -61,6 +61,7 @@ def test_a_rim_that_crosses_itself_is_refused() -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(st.floats(-6.0, 9.0), st.integers(0, 2))
+@example(0.75, 0)  # 46 % of the surface is beyond the plane, 51 % with the triangles that it goes through
 def test_a_plane_cuts_a_ball_s_cap_off(height: float, axis: int) -> None:
     ball, radius = icosphere(10.0, 3), 10.0
     normal = np.eye(3)[axis]
@@ -72,7 +73,9 @@ def test_a_plane_cuts_a_ball_s_cap_off(height: float, axis: int) -> None:
     assert rim_loops(found.triangles) == []
     cap = np.pi * (radius - height) ** 2 * (2 * radius + height) / 3.0
     lost = ball.volume_ml() - found.volume_ml()
-    assert lost == pytest.approx(cap / 1000.0, rel=0.06, abs=0.003)
+    # the ball's triangles enclose 1 % less than it; points of the rim less than SNAP of an edge (1.5 mm) from the plane move to it
+    snapped = 2 * np.pi * np.sqrt(radius**2 - height**2) * SNAP * 1.5**2 / 2
+    assert 1000.0 * lost == pytest.approx(cap, abs=0.02 * cap + snapped)
     assert ((found.points @ normal) < height + 0.2).all()
     flat = found.points[found.triangles[found.label == 21]].reshape(-1, 3) @ normal
     assert np.abs(flat - height).max() < 1e-6

@@ -70,8 +70,9 @@ def test_no_moment_of_the_program_answers_a_signal_with_a_traceback(number: sign
     while waiting:
         some, waiting = waiting[:4], waiting[4:]
         children = [
+            # -P: what is installed is shot, not a checkout that is the working folder
             (place, subprocess.Popen(
-                [sys.executable, "-c", PROGRAM, place[0], str(place[1]), str(int(number))],
+                [sys.executable, "-P", "-c", PROGRAM, place[0], str(place[1]), str(int(number))],
                 stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
             ))
             for place in some

@@ -59,14 +59,23 @@ def _bomb(content: bytes) -> bytes:
     return content.replace(found[1], base64.b64encode(bytes(header)) + base64.b64encode(packed))
 
 
+def _block(content: bytes, word: int, value: int) -> bytes:
+    """The first packed array says ``value`` in a word of its header: 0 how many blocks it has, 1 how large they are."""
+    found = re.search(rb'format="binary"[^>]*>\s*([\w+/]{16})', content)
+    assert found
+    header = bytearray(base64.b64decode(found[1]))
+    header[4 * word : 4 * word + 4] = struct.pack("<I", value)
+    return content[: found.start(1)] + base64.b64encode(bytes(header)) + content[found.end(1) :]
+
+
 BOMBS: dict[str, Change] = {
     "huge points": lambda b: re.sub(rb'NumberOfPoints="\d+"', b'NumberOfPoints="99999999999"', b),
     "huge cells": lambda b: re.sub(rb'NumberOf(Cells|Polys)="\d+"', rb'NumberOf\1="99999999999"', b),
     "a count of words": lambda b: re.sub(rb'NumberOfPoints="\d+"', b'NumberOfPoints="-1"', b),
     "huge components": lambda b: b.replace(b'NumberOfComponents="3"', b'NumberOfComponents="300000000"'),
     "a packed bomb": _bomb,
-    "a huge block": lambda b: b.replace(b"AQAAAACAAAB", b"AQAAAP///39"),
-    "many blocks": lambda b: b.replace(b"AQAAAACAAAB", b"////AACAAAB"),
+    "a huge block": lambda b: _block(b, 1, (1 << 31) - 1),
+    "many blocks": lambda b: _block(b, 0, (1 << 24) - 1),
     "cut short": lambda b: b[: len(b) // 2],
     "nested": lambda b: b.replace(b"<Points>", b"<Points>" + b"<a>" * 50),
     "entities": lambda b: b.replace(b"<VTKFile", b'<!DOCTYPE a [<!ENTITY b "b">]><VTKFile', 1),

@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from shapes import hollow_cube
 from typer.testing import CliRunner
 
 from lacli.base.errors import LacliError, UsageError
 from lacli.cli.main import build
+from lacli.contracts import bundle as bundles
 from lacli.contracts import identity
 from lacli.contracts.identity import run_key
 from lacli.contracts.scene import Scene, dump_scene
@@ -68,6 +70,7 @@ def mechanics(monkeypatch: pytest.MonkeyPatch) -> Mechanics:
 @pytest.fixture
 def scene(scene_of: SceneOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
+    bundles.save(hollow_cube(), tmp_path / "bundle")  # a calibration looks at the cells, to say their errors
     file = tmp_path / "scene.toml"
     file.write_text(dump_scene(scene_of()))
     return file
@@ -161,7 +164,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def bundle_changes(tmp_path: Path, patch: pytest.MonkeyPatch) -> tuple[str, ...]:
-    (tmp_path / "bundle" / "wall.vtu").write_bytes(b"another wall")
+    bundles.save(hollow_cube(31.0), tmp_path / "bundle")
     return ()
 
 
@@ -215,7 +218,7 @@ def test_a_calibration_never_answers_for_another(
     calibrated: dict[str, bytes], scene: Path, mechanics: Mechanics, tmp_path: Path
 ) -> None:
     """Each determining input changed in turn: refused with the key's old and new value, nothing run, nothing touched."""
-    files = {path: path.read_bytes() for path in (scene, *tmp_path.glob("*.toml"), tmp_path / "bundle" / "wall.vtu")}
+    files = {path: path.read_bytes() for path in (scene, *tmp_path.glob("*.toml"), *(tmp_path / "bundle").iterdir())}
     runs = mechanics.runs
     for what, (change, words) in CHANGES.items():
         with pytest.MonkeyPatch.context() as patch:

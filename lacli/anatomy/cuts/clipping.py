@@ -31,7 +31,8 @@ def cut(surface: Surface, centre: FloatArray, normal: FloatArray, beyond: FloatA
     going = np.zeros(len(surface.points), dtype=bool)
     going[surface.triangles[part == chosen]] = True
     going &= past
-    if surface.areas()[part == chosen].sum() > 0.5 * surface.area_mm2():
+    beyond_it = (part == chosen) & (height[surface.triangles].mean(axis=1) > 0)  # not those that merely touch the plane
+    if surface.areas()[beyond_it].sum() > 0.5 * surface.area_mm2():
         raise AnatomyError(
             f"the cutting plane of the {what} would remove more than half of the atrium; "
             "turn its normal (out of the atrium) or move its centre in landmarks.toml."

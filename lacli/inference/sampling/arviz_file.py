@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from pathlib import Path
 
+from lacli.base import quiet
 from lacli.base.files import replacing
 from lacli.inference.sampling.posterior import Chain
 
@@ -14,9 +15,8 @@ def write_inference_data(path: Path, chain: Chain) -> None:
     ``ensemble`` of sample_stats says to which independent ensemble it belongs. NetCDF has no slash in names: ``kPa/mm`` is
     ``kPa per mm`` there."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the library announces its own next version
-        import arviz
-
+        warnings.simplefilter("ignore")
+        arviz = quiet.arviz()
         kept = chain.samples[chain.steps // 10 :]
         steps, ensembles, walkers, d = kept.shape
         by_walker = kept.reshape(steps, ensembles * walkers, d).transpose(1, 0, 2)

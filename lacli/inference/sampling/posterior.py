@@ -12,6 +12,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import qmc
 
+from lacli.base import quiet
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import InputError, LacliError, UsageError
 from lacli.base.schema import Array, array_file, unfit, write_arrays
@@ -187,8 +188,7 @@ def diagnostics(samples: FloatArray) -> tuple[FloatArray, FloatArray]:
     halves): over the walkers of one ensemble, which know of each other, it would mean nothing. ESS (bulk) takes each
     walker as a chain.
     """
-    import arviz
-
+    arviz = quiet.arviz()
     steps, ensembles, _, d = samples.shape
     rhat, ess = np.empty(d), np.empty(d)
     with warnings.catch_warnings():
