@@ -73,7 +73,7 @@ def test_a_plane_cuts_a_ball_s_cap_off(height: float, axis: int) -> None:
     assert rim_loops(found.triangles) == []
     cap = np.pi * (radius - height) ** 2 * (2 * radius + height) / 3.0
     lost = ball.volume_ml() - found.volume_ml()
-    # the ball's triangles enclose 1 % less than it; points of the rim less than SNAP of an edge (1.5 mm) from the plane move to it
+    # the ball's triangles enclose 1 % less than it; rim points less than SNAP of an edge (1.5 mm) from the plane move to it
     snapped = 2 * np.pi * np.sqrt(radius**2 - height**2) * SNAP * 1.5**2 / 2
     assert 1000.0 * lost == pytest.approx(cap, abs=0.02 * cap + snapped)
     assert ((found.points @ normal) < height + 0.2).all()
