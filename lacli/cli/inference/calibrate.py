@@ -16,7 +16,7 @@ from lacli.cli.terminal.scenes import read_scene
 from lacli.cli.terminal.tables import BoxFile, Fresh, Json, Retry, Seed
 
 if TYPE_CHECKING:
-    from lacli.api.calibration import Calibrated, Recovered
+    from lacli.api.methods.calibrated import Calibrated, Recovered
     from lacli.api.progress import Progress
     from lacli.calibration.calibration import Calibration, WaveReport
     from lacli.contracts.scene import Scene
@@ -121,7 +121,8 @@ def command(
             raise UsageError(f"--method sequential makes no waves: {', '.join(of_waves)} is of the published method.")
         space = read_box(box_file) if box_file else published_box()
         options: dict[str, Any] = {
-            "box": space, "settings": Sought(max_runs=max_runs or Sought.max_runs, seed=seed, mcmc=Sampling(ess=ess)),
+            "method": "sequential", "box": space,
+            "settings": Sought(max_runs=max_runs or Sought.max_runs, seed=seed, mcmc=Sampling(ess=ess)),
             "store": root, "workers": workers, "scheduler": scheduler, "fresh": fresh, "retry": retry,
             "discretisation": discretisation,
         }  # fmt: skip
@@ -149,9 +150,9 @@ def command(
         scene = read_scene(scene_file, overrides, box)
     if synthetic and scene is not None and box is not None:
         with _dashboard() as show:
-            recovered = api.recover(
-                scene, folder, truth=_truth(truth, box), box=box, settings=settings, store=root, workers=workers,
-                scheduler=scheduler, fresh=fresh, figures=figures, progress=show,
+            recovered = api.calibrate(
+                scene, None, folder, method="published", truth=_truth(truth, box), box=box, settings=settings, store=root,
+                workers=workers, scheduler=scheduler, fresh=fresh, figures=figures, progress=show,
             )  # fmt: skip
         _show_recovery(recovered, as_json, time.monotonic() - begin)
         return
@@ -159,7 +160,7 @@ def command(
     targets = read_targets(targets_file)
     with _dashboard() as show:
         found = api.calibrate(
-            scene, targets, folder, table=from_table, box=box, settings=settings, store=root, workers=workers,
+            scene, targets, folder, method="published", table=from_table, box=box, settings=settings, store=root, workers=workers,
             scheduler=scheduler, sensitivities=sensitivities, fresh=fresh, retry=retry, figures=figures, progress=show,
             discretisation=discretisation,
         )  # fmt: skip
@@ -168,7 +169,7 @@ def command(
 
 def _default_method(scene_file: Path, overrides: list[str] | None) -> str:
     """Sequential where the scene's runs can tell derivatives; published otherwise, with a word."""
-    from lacli.api.sequential import lacking
+    from lacli.api.methods.sequential import lacking
     from lacli.contracts.scene import load_scene
 
     if words := lacking(load_scene(scene_file, overrides or [])):
@@ -178,11 +179,11 @@ def _default_method(scene_file: Path, overrides: list[str] | None) -> str:
 
 
 def _foresee(scene: Scene, targets: Targets, folder: Path, as_json: bool, **options: Any) -> None:
-    from lacli.api.sequential import foresee
+    from lacli.api.calibration import calibrate
     from lacli.inference.sampling.posterior import learnt
 
     with _told() as show:
-        found = foresee(scene, targets, folder, progress=show, **options)
+        found = calibrate(scene, targets, folder, forecast=True, progress=show, **options)
     rows = found.rows()
     if as_json:
         print_json({"runs": found.runs, "targets": len(targets.names), "inputs": rows})
@@ -196,14 +197,15 @@ def _foresee(scene: Scene, targets: Targets, folder: Path, as_json: bool, **opti
 
 
 def _seek(scene: Scene, targets: Targets, folder: Path, as_json: bool, **options: Any) -> None:
-    from lacli.api.sequential import seek
-    from lacli.calibration.sequential.result import document
+    from lacli.api.calibration import calibrate
+    from lacli.calibration.sequential.result import Sequential, document
     from lacli.inference.sampling.posterior import learnt
 
     begin = time.monotonic()
     with _told() as show:
-        found = seek(scene, targets, folder, progress=show, **options)
+        found = calibrate(scene, targets, folder, progress=show, **options)
     result, wall_s = found.result, time.monotonic() - begin
+    assert isinstance(result, Sequential)
     for note in result.notes:
         err.print(f"note: {note}", highlight=False, soft_wrap=True)
     if as_json:
@@ -310,11 +312,12 @@ def _time(seconds: float) -> str:
 
 
 def _finish(found: Calibrated, as_json: bool, wall_s: float) -> None:
-    from lacli.calibration.calibration import document
+    from lacli.calibration.calibration import Calibration, document
 
     for note in found.notes:
         err.print(f"note: {note}", highlight=False, soft_wrap=True)
     result = found.result
+    assert isinstance(result, Calibration)
     if as_json:
         print_json({**document(result), "wall_s": wall_s, "pictures": [str(p) for p in found.pictures]})
     else:

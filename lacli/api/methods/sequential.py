@@ -1,4 +1,4 @@
-"""Calibration that seeks the posterior, in one call."""
+"""The sequential method: a calibration that seeks the posterior, and its forecast."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lacli.api.methods.calibrated import Calibrated
 from lacli.api.progress import Cancel, OnProgress, Stage
 from lacli.base.errors import UsageError
 
 if TYPE_CHECKING:
     from lacli.calibration.sequential.draw.information import Forecast
-    from lacli.calibration.sequential.result import Sequential
     from lacli.calibration.sequential.search import Settings, Status
     from lacli.calibration.simulator import SceneSimulator
     from lacli.contracts.scene import Scene
@@ -22,19 +22,6 @@ if TYPE_CHECKING:
 
 RUNS = "runs"  # the folder of the simulations in a calibration's own
 FIGURES = ("corner.png", "trace.png")
-
-
-@dataclass(frozen=True)
-class Sought:
-    """A calibration that sought the posterior, the folder of its files, and the pictures drawn.
-
-    result: most probable point (d,), posterior by input, runs by stage, chain, what was met on the way (``notes``), and why it
-    is no answer (``refused``, empty where it is one).
-    """
-
-    folder: Path
-    result: Sequential
-    pictures: tuple[Path, ...]
 
 
 def seek(
@@ -53,18 +40,10 @@ def seek(
     figures: bool = False,
     progress: OnProgress | None = None,
     cancel: Cancel | None = None,
-) -> Sought:
+) -> Calibrated:
     """The posterior of a patient's parameters from few runs that tell their derivatives, with a check of the whole box.
 
-    Targets and inputs are in the units of their names; targets at times of the cycle (``n_septum_mm@0.2``) make the frames of
-    the simulations. The prior is uniform on the box (default: the published ranges of the 9 inputs). store: folder of the
-    simulations (default: in ``folder``); workers: simulations side by side here, scheduler: address of a Dask scheduler
-    instead; fresh: start in a sub-folder where ``folder`` holds something else; retry: run again what the machine has ended
-    three times; discretisation: whether the targets' errors are widened by the scene's discretisation errors, measured or by the
-    model (no, where the targets come from the very same numerics). Called again it goes on, and ends as if it had not been
-    interrupted.
-    Raises LacliError where runs tell no derivatives or too few finish, UsageError, TableError, AnatomyError,
-    SolverMissingError, StorageError, Cancelled.
+    Arguments and errors as of ``lacli.calibrate``. Raises LacliError too where runs tell no derivatives or too few finish.
     """
     from lacli.base.files import superseded
     from lacli.calibration.sequential.calibration import calibrate_sequentially
@@ -82,7 +61,7 @@ def seek(
         corner, trace = (folder / name for name in FIGURES)
         unlearnt = [str(row["input"]) for row in result.table if float(row["contraction"]) < LEAST_CONTRACTION]
         pictures = (corner_figure(result.chain, result.map_x, box, corner, as_prior=unlearnt), trace_figure(result.chain, trace))
-    return Sought(folder, result, pictures)
+    return Calibrated(folder, result, result.notes, (), result.refused, pictures)
 
 
 def foresee(

@@ -1,0 +1,180 @@
+"""A whole study in one call: what is planned, what it costs, and the doing, here or as a SLURM array."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lacli.base.errors import InputError, LacliError, UsageError
+
+if TYPE_CHECKING:
+    from lacli.api.progress import Cancel, OnProgress
+    from lacli.cohort.participants import Participant
+    from lacli.cohort.steps import Step
+    from lacli.cohort.study import Outcome, Planned
+
+    Patients = list[tuple[Participant, list[Step]]]
+
+PLAIN_PATH = re.compile(r"[A-Za-z0-9_./+-]+")  # in a batch script's header nothing can be quoted
+OF_WAVES = ("first-runs", "wave-runs", "max-waves", "hours", "prior")  # options of a calibration by the published method
+
+
+@dataclass(frozen=True)
+class Cohort:
+    """A study: its steps as they stood before the call, and where they were done, each patient's outcome and a summary.
+
+    cost of what was to do: ``calibrations``, ``runs_each`` at most, ``cpu_s_per_run`` (CPU seconds; the median of the study's
+    runs so far, or None). summary: counts, misfit of the models over patients, notes. Of a dry run and of a script for SLURM,
+    outcomes and summary are empty.
+    """
+
+    steps: tuple[Planned, ...]
+    cost: dict[str, Any]
+    outcomes: tuple[Outcome, ...] = ()
+    summary: dict[str, Any] = field(default_factory=dict)
+
+
+def run_cohort(
+    participants: Path,
+    folder: Path,
+    *,
+    scene: Path | None = None,
+    settings: Path | None = None,
+    only: Sequence[str] = (),
+    dry_run: bool = False,
+    slurm: Path | None = None,
+    progress: OnProgress | None = None,
+    cancel: Cancel | None = None,
+) -> Cohort:
+    """Every patient of a table: mesh, fat, track, calibrate, compare, as far as it has the files, and the tables.
+
+    Each step is a call of ``lacli`` in a process of its own; what is done is found again by content. only: these patients (the
+    tables hold all that are done, in the units of their columns' names). dry_run: steps, their state and cost are told, nothing
+    is run; slurm: neither, and a SLURM array script, a task a patient, is written there. A patient who fails is an outcome.
+    Raises TableError, UsageError, InputError before anything is run, StorageError, Cancelled (what is done is kept).
+    """
+    from lacli.base.files import check_folder
+    from lacli.cohort.study import planned
+
+    if slurm is not None and only:
+        raise UsageError("--write-slurm writes a task for every participant; leave --only out.")
+    if not dry_run and slurm is None:
+        check_folder(folder)
+    home = folder.absolute()
+    chosen = _patients(participants, folder, scene, settings, only)
+    rows = {patient.identifier: planned(patient, steps, home / patient.identifier) for patient, steps in chosen}
+    steps = tuple(row for of_patient in rows.values() for row in of_patient)
+    cost = _cost(chosen, steps, folder, settings)
+    if slurm is not None:
+        _write_slurm(participants, folder, slurm, scene, settings, list(rows))
+    if dry_run or slurm is not None:
+        return Cohort(steps, cost)
+    outcomes, summary = _run(participants, folder, chosen, progress, cancel)
+    return Cohort(steps, cost, outcomes, summary)
+
+
+def _run(
+    participants: Path, folder: Path, chosen: Patients, progress: OnProgress | None, cancel: Cancel | None
+) -> tuple[tuple[Outcome, ...], dict[str, Any]]:
+    from lacli.api.progress import Stage
+    from lacli.cohort.analysis.summary import write_summary
+    from lacli.cohort.participants import read_participants
+    from lacli.cohort.study import known_outcome, run
+
+    every, home = read_participants(participants), folder.absolute()
+    outcomes: dict[str, Outcome] = {}
+    for patient, steps in chosen:
+        stage = Stage(patient.identifier, len(steps), progress, cancel).begin()
+        begun: list[str] = []
+
+        def tick(name: str, stage: Stage = stage, begun: list[str] = begun) -> None:
+            begun.append(name)
+            stage.reach(len(begun) - 1)
+
+        wanted = (lambda: not cancel()) if cancel is not None else (lambda: True)
+        outcomes[patient.identifier] = run(patient, steps, home / patient.identifier, tick, wanted)
+        stage.reach(len(steps))
+    for patient in every:
+        if patient.identifier not in outcomes and (known := known_outcome(home / patient.identifier)) is not None:
+            outcomes[patient.identifier] = known
+    ordered = tuple(outcomes[p.identifier] for p in every if p.identifier in outcomes)
+    return ordered, write_summary(folder, every, ordered)
+
+
+def _cost(chosen: Patients, rows: Sequence[Planned], folder: Path, settings: Path | None) -> dict[str, Any]:
+    from lacli.cohort.analysis.summary import median_cpu_s
+    from lacli.cohort.steps import read_settings
+
+    given = read_settings(settings).options.get("calibrate", {})
+    todo = {row.participant_id for row in rows if row.step == "calibrate" and row.state != "done"}
+    steps = [step for patient, steps in chosen if patient.identifier in todo for step in steps if step.name == "calibrate"]
+    simulated = [step for step in steps if "--from-table" not in step.arguments]
+    each = max((runs_at_most(step, given) for step in simulated), default=0)
+    return {"calibrations": len(simulated), "runs_each": each, "cpu_s_per_run": median_cpu_s(folder)}
+
+
+def runs_at_most(step: Step, given: Mapping[str, Any]) -> int:
+    """Runs of a calibration's step at most, with these options: of the sequential method, or where they or the scene ask for
+    it, of the published one."""
+    from lacli.calibration.calibration import Settings as Published
+    from lacli.calibration.sequential.search import Settings as Sequential
+
+    method = given.get("method")
+    if method is None:
+        published = given.get("sensitivities") is False or any(name in given for name in OF_WAVES) or _tells_none(step)
+        method = "published" if published else "sequential"
+    if method == "sequential":
+        return int(given.get("max-runs", Sequential.max_runs))
+    default, names = Published(), ("first_runs", "wave_runs", "max_waves", "max_runs")
+    first, following, waves, most = (int(given.get(name.replace("_", "-"), getattr(default, name))) for name in names)
+    return min(most, first + following * (waves - 1))
+
+
+def _tells_none(step: Step) -> bool:
+    """Whether runs of the step's scene tell no derivatives; a scene that cannot be read fails later, with its reason."""
+    from lacli.api.methods.sequential import lacking
+    from lacli.contracts.scene import load_scene
+
+    words = step.arguments
+    try:
+        return bool(lacking(load_scene(Path(words[1]), [words[i + 1] for i, word in enumerate(words) if word == "--set"])))
+    except LacliError:
+        return False
+
+
+def _write_slurm(
+    participants: Path, folder: Path, script: Path, scene: Path | None, settings: Path | None, identifiers: list[str]
+) -> None:
+    import sys
+
+    from lacli.base.files import check_folder, write_text
+    from lacli.cohort.slurm import array_script
+    from lacli.cohort.steps import read_settings
+
+    logs = folder.absolute() / "slurm"
+    if not PLAIN_PATH.fullmatch(str(logs)):
+        raise UsageError(f"{logs}: SLURM takes no path with such letters; choose another --out.")
+    check_folder(logs)
+    logs.mkdir(parents=True, exist_ok=True)
+    call = ["cohort", str(participants.absolute()), "--out", str(folder.absolute())]
+    for option, file in (("--scene", scene), ("--settings", settings)):
+        call += [option, str(file.absolute())] if file is not None else []
+    write_text(script, array_script(sys.executable, call, identifiers, read_settings(settings), logs))
+
+
+def _patients(participants: Path, folder: Path, scene: Path | None, settings: Path | None, only: Sequence[str]) -> Patients:
+    from lacli.cohort.participants import read_participants
+    from lacli.cohort.steps import read_settings, steps_of
+
+    if scene is not None and not scene.is_file():
+        raise InputError(f"{scene}: no such scene.")
+    every, shared = read_participants(participants), read_settings(settings)
+    missing = [name for name in only if name not in [p.identifier for p in every]]
+    if missing:
+        raise UsageError(f"{participants}: no participant {', '.join(missing)}.")
+    own = None if scene is None else scene.absolute()
+    chosen = [p for p in every if not only or p.identifier in only]
+    return [(p, steps_of(p, shared, folder.absolute() / p.identifier, own)) for p in chosen]
