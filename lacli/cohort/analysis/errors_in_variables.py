@@ -15,8 +15,8 @@ df is Satterthwaite's: the variance f of beta's estimate is itself an estimate f
 2 f^2 / var(f), as Fai and Cornelius (J. Stat. Comput. Simul. 54, 1996) take it for fixed effects. Here beta stands among the
 covariance's parameters, so that f is its element of the inverse expected information of them all; and since each beta is tested
 as given, var(f) is that which the four variances bring.
-The estimate told is not the likelihood's best, which few patients bias away from nought, but that without this bias to first order
-(``_Model.unbiased``).
+The estimate told is not the likelihood's best, which few patients bias away from nought, but that without this bias to first
+order (``_Model.unbiased``).
 It rests on posteriors whose error is independent of the truth: a flat prior that the data dominate.
 """
 
