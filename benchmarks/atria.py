@@ -112,8 +112,9 @@ def answered(truth: dict[str, Any], left: Path, message: str) -> Path | None:
 def meshed(file: Path, truth: dict[str, Any], out: Path, more: list[str]) -> dict[str, Any]:
     """What the command gives: its kind, what is wrong in words, its usage."""
     words = [*LACLI, "mesh", str(file), "--out", str(out), "--no-pictures", "--json", *more]
-    for name, value in truth["args"].items():
-        words += [f"--{name}", str(value)]
+    for name in ("la", "lv"):
+        if name in truth["args"]:
+            words += [f"--{name}", str(truth["args"][name])]
     run = subprocess.run([sys.executable, "-c", TIMED, *words], capture_output=True, text=True, check=False)
     lines = run.stderr.strip().splitlines()
     usage = json.loads(lines[-1]) if lines and lines[-1].startswith("{") else {"cpu_s": 0.0, "mb": 0.0}
