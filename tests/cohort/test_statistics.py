@@ -13,7 +13,7 @@ from scipy.linalg import block_diag
 
 from lacli.base.errors import InputError, LacliError, TableError, UsageError
 from lacli.cohort.analysis import journal
-from lacli.cohort.analysis.errors_in_variables import _Model, structural_slope
+from lacli.cohort.analysis.errors_in_variables import _f_of_ratio, _Model, _ratio_of_f, structural_slope
 from lacli.cohort.analysis.mixed import known_error, normal_draws, published, rubin
 from lacli.cohort.analysis.observations import Observations, read_observations
 from lacli.cohort.analysis.paired import holm, paired_tests
@@ -102,6 +102,34 @@ def test_the_structural_slope_undoes_attenuation_where_there_is_much_data() -> N
     assert found.low < 0.5 < found.high < found.low + 0.35
     assert found.sigma_e == pytest.approx(0.7, abs=0.1)
     assert found.tau == pytest.approx(0.6, abs=0.1)
+
+
+def test_the_likelihood_ratio_of_f_is_that_of_a_regression() -> None:
+    # y = 2 x + e over 9 rows without intercept, beta fixed at 1.7: RSS by hand, 9 = df + 1 contrasts
+    x = np.arange(1.0, 10.0)
+    y = 2 * x + np.array([0.3, -0.1, 0.4, -0.6, 0.2, 0.1, -0.5, 0.3, -0.2])
+    best = float(x @ y / (x @ x))
+    rss, there = (float(((y - b * x) ** 2).sum()) for b in (best, 1.7))
+    f = (there - rss) / (rss / 8)
+    assert _ratio_of_f(f, 8.0) == pytest.approx(9 * math.log(there / rss), rel=1e-12)
+    assert _f_of_ratio(_ratio_of_f(f, 8.0), 8.0) == pytest.approx(f, rel=1e-12)
+    assert _ratio_of_f(f, 1e9) == pytest.approx(f, rel=1e-6)
+
+
+def test_the_bias_is_that_of_an_estimate_in_closed_form() -> None:
+    # no patients' parts, an error s of w, no error of y: beta is m_wy / (m_ww - s) from nu = patients x regions - regions rows,
+    # of which Var(m_ww) = 2 W^2 / nu and Cov(m_ww, m_wy) = 2 W beta x / nu, W = x + s, so that to first order the bias is
+    # beta Var(m_ww) / x^2 - Cov(m_ww, m_wy) / x^2 = 2 beta W s / (nu x^2); many patients, so that the first order is all
+    rng = np.random.default_rng(4)
+    x = rng.normal(0, 0.8, (400, 5))
+    w, y = x + rng.normal(0, 0.8, x.shape), 0.5 * x + rng.normal(0, 0.7, x.shape)
+    w, y = w - w.mean(axis=0), y - y.mean(axis=0)
+    model = _Model(w, y, np.tile(0.64 * np.eye(5), (400, 1, 1)), np.zeros((400, 5, 5)))
+    beta, _, at = model.fit()
+    assert model.unbiased(beta, at) < beta
+    truth, nu = float(np.exp(at[1])), 400 * 5 - 5
+    expected = 2 * beta * (truth + 0.64) * 0.64 / (nu * truth**2)
+    assert beta - model.unbiased(beta, at) == pytest.approx(expected, rel=0.15)
 
 
 def test_the_structural_slope_scales_with_units() -> None:

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from lacli.anatomy.openings.candidate import PATCH, Candidate, of_ring
 from lacli.base.arrays import FloatArray, IntArray
+from lacli.contracts.labels import REGIONS, RINGS
 from lacli.geometry import curves as paths
 from lacli.geometry.surface import Surface
 
@@ -31,6 +32,8 @@ class Tagged:
 def of_triangles(points: FloatArray, triangles: IntArray, tag: IntArray) -> Tagged | None:
     """Tags that are known to mean body, appendage and veins; None where they mean nothing known."""
     present = set(np.unique(tag).tolist())
+    if present >= set(REGIONS.values()) and present & set(RINGS.values()):  # a wall of our own
+        return Tagged(points[triangles].mean(axis=1), tag, {value: name for name, value in RINGS.items() if value in present})
     if BODY_TAG not in present or not present & set(CARP_TAGS):
         return None
     return Tagged(points[triangles].mean(axis=1), tag, {t: n for t, n in CARP_TAGS.items() if t in present})

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lacli.anatomy.cuts import clipping, closing
+from lacli.anatomy.inputs.flat_caps import flat_caps
 from lacli.anatomy.inputs.meshes.surfacefile import unit_scale
 from lacli.anatomy.inputs.voxels import from_voxels
 from lacli.anatomy.openings.candidate import RIM, Candidate, area_vector, of_ring
@@ -18,6 +19,7 @@ from lacli.geometry.surface import Surface, compact, defects, nearest
 MANY_TRIANGLES = 400_000
 MANY_HOLES = 300
 FEW_BAD_EDGES = 60  # non-manifold edges: so many are mended, with more the surface is rebuilt
+OPENINGS_LEAST = 5  # the mitral valve and four veins
 OPENING_MM = 10.0  # rims at least this long are openings (veins, valve), shorter ones damage
 
 
@@ -67,6 +69,9 @@ def repair(points: FloatArray, triangles: IntArray, unit: str | None = None, out
     triangles = _largest(points, triangles, notes)
     points, triangles = _used(points, triangles)
     triangles, manifold = _orient(triangles, notes)
+    if manifold:
+        triangles = _opened(points, triangles, notes)
+        points, triangles = _used(points, triangles)
     rims: list[Candidate] = []
     loops = paths.loops(paths.open_edges(triangles)) if manifold else []
     if manifold and len(loops) <= MANY_HOLES:
@@ -80,6 +85,19 @@ def repair(points: FloatArray, triangles: IntArray, unit: str | None = None, out
     surface = from_voxels(points, triangles)
     notes.append("the triangles did not make a closed surface: it was rebuilt from voxels of 0.5 mm")
     return Repaired(surface, tuple(_outward(replace(r, cap=0), surface) for r in rims), tuple(notes), scale, outer)
+
+
+def _opened(points: FloatArray, triangles: IntArray, notes: list[str]) -> IntArray:
+    """Without the flat caps of a surface whose openings were closed by them: where, with rims, they are as many as an atrium has.
+
+    Fewer flat discs may be something else: a valve's plane in a map of the heart, a wall cut by the border of an image.
+    """
+    loops = paths.loops(paths.open_edges(triangles))
+    caps = flat_caps(points, triangles) if len(loops) < OPENINGS_LEAST else []
+    if len(caps) + len(loops) < OPENINGS_LEAST:
+        return triangles
+    notes.append(f"{len(caps)} flat caps with sharp rims were taken for closed openings")
+    return triangles[~np.any(caps, axis=0)]
 
 
 def _bare(points: FloatArray, triangles: IntArray) -> Surface:

@@ -8,12 +8,15 @@ For patient i and region j, with x the true predictor, w its posterior mean and 
 
 (Fuller, Measurement Error Models, 1987; Carroll et al., Measurement Error in Nonlinear Models, 2006, ch. 8.) x is never seen:
 integrated out, (w_i, y_i) is normal with a covariance that beta enters, and the regions' means form a design that it does not, so
-that restricted likelihoods at different beta may be compared. The interval holds every beta whose likelihood ratio is within the
-quantile of F(1, df); it may be unbounded, as it must where the posteriors are as wide as the patients differ.
+that restricted likelihoods at different beta may be compared. The interval holds every beta whose likelihood ratio is within that
+which the quantile of F(1, df) makes in normal regression (``_ratio_of_f``); it may be unbounded, as it must where the posteriors
+are as wide as the patients differ.
 df is Satterthwaite's: the variance f of beta's estimate is itself an estimate from the few patients there are, and df =
 2 f^2 / var(f), as Fai and Cornelius (J. Stat. Comput. Simul. 54, 1996) take it for fixed effects. Here beta stands among the
 covariance's parameters, so that f is its element of the inverse expected information of them all; and since each beta is tested
 as given, var(f) is that which the four variances bring.
+The estimate told is not the likelihood's best, which few patients bias away from nought, but that without this bias to first
+order (``_Model.unbiased``).
 It rests on posteriors whose error is independent of the truth: a flat prior that the data dominate.
 """
 
@@ -24,13 +27,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq, minimize
+from scipy.optimize import brentq, minimize, root
 from scipy.stats import f as f_distribution
 
 from lacli.base.arrays import FloatArray
 
 _FLOOR = 1e-6  # of a quantity's variance: less is none
 _STEP = 1e-3  # of derivatives on beta and the log variances, which are of order 1
+_OMEGA = 1  # of the log variances, that of the truth within patients
+_LEAST_TRUTH = 0.05  # of the predictor's variance, where the search without bias begins
 _FARTHEST = 1e3  # of the quantities' ratio of spreads: a slope beyond it is no longer told from any
 
 
@@ -70,7 +75,7 @@ def structural_slope(w: FloatArray, y: FloatArray, s: FloatArray, t: FloatArray,
     model = _Model(_centred(w) / scale_w, _centred(y) / scale_y, s / scale_w**2, t / scale_y**2)
     beta, best, at = model.fit()
     df = model.degrees_of_freedom(beta, at, patients * regions - regions - (patients - 1) - 1)
-    drop = float(f_distribution.ppf(level, 1, df))
+    drop = _ratio_of_f(float(f_distribution.ppf(level, 1, df)), df)
 
     def excess(value: float, start: FloatArray) -> tuple[float, FloatArray]:
         found, where = model.profile(value, start)
@@ -81,16 +86,36 @@ def structural_slope(w: FloatArray, y: FloatArray, s: FloatArray, t: FloatArray,
     tau, omega, sigma_b, sigma_e = np.sqrt(np.where(at > math.log(_FLOOR) + 0.5, np.exp(at), 0.0))
     error = float(np.mean(np.trace(s, axis1=1, axis2=2) / regions)) / scale_w**2
     unit = scale_y / scale_w
+    p = float(f_distribution.sf(_f_of_ratio(ratio, df), 1, df))
     return Slope(
-        beta * unit, low * unit, high * unit, float(f_distribution.sf(ratio, 1, df)), float(omega**2 / (omega**2 + error)),
+        model.unbiased(beta, at) * unit, low * unit, high * unit, p, float(omega**2 / (omega**2 + error)),
         float(tau * scale_w), float(omega * scale_w), float(sigma_b * scale_y), float(sigma_e * scale_y), df,
     )  # fmt: skip
+
+
+def _ratio_of_f(f: float, df: float) -> float:
+    """The restricted likelihood ratio that an F statistic on (1, df) degrees of freedom makes in normal regression.
+
+    With the means alone as design, df + 1 contrasts are left, and -2 log likelihood at a beta, least over the variance, is
+    (df + 1) log RSS(beta) + constant. F = (RSS(beta) - RSS) / (RSS / df), so that the ratio is (df + 1) log(1 + F / df): exact
+    there, and F itself only for many df.
+    """
+    return (df + 1) * math.log1p(f / df)
+
+
+def _f_of_ratio(ratio: float, df: float) -> float:
+    """The inverse of ``_ratio_of_f``."""
+    return df * math.expm1(ratio / (df + 1))
 
 
 def _centred(q: FloatArray) -> FloatArray:
     """Without the regions' means, which a complete table's generalised least squares takes out as they are."""
     centred: FloatArray = q - q.mean(axis=0)
     return centred
+
+
+def _inverse(matrix: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.inv(matrix), float)
 
 
 class _Model:
@@ -156,18 +181,57 @@ class _Model:
 
         Element i, j is tr(P V_i P V_j) / 2 with V_i the covariance's derivative, P = W - W X (X' W X)^-1 X' W, W = V^-1.
         """
-        w = np.linalg.inv(self.covariance(float(at[0]), at[1:]))
-        c = np.linalg.inv(w.sum(axis=0))
-        wd = [w @ self._derivative(at, k) for k in free]
-        once = [np.einsum("nij,njk->ik", a, w) for a in wd]
-        result = np.empty((len(free), len(free)))
-        for i, a in enumerate(wd):
-            for j, b in enumerate(wd[: i + 1]):
-                ab = a @ b
-                twice = (ab @ w).sum(axis=0)
-                trace = float(np.trace(ab.sum(axis=0))) - 2 * float(np.sum(c * twice.T))
-                result[i, j] = result[j, i] = 0.5 * (trace + float(np.trace(c @ once[i] @ c @ once[j])))
-        return result
+        w = _inverse(self.covariance(float(at[0]), at[1:]))
+        product = _Products(w, [self._derivative(at, k) for k in free])
+        return np.array([[0.5 * product.trace(i, j) for j in range(len(free))] for i in range(len(free))])
+
+    def unbiased(self, beta: float, logs: FloatArray) -> float:
+        """beta without its bias of first order in 1 / patients; from the likelihood's best, which it is where none is found.
+
+        The score less I b is nought there (Firth, Biometrika 80, 1993), b the bias of Cox and Snell (J. R. Stat. Soc. B 30,
+        1968). For normal data whose covariance alone has parameters, b = -I^-1 a / 2 with a_s = tr(P V_s P D) / 2 and D the sum
+        of the covariance's second derivatives V_tu times the elements of I^-1 (Patriota and Lemonte, Stat. Probab. Lett. 79,
+        2009): it is V's bend that biases. In the variances V is linear, so that D has beta's terms only.
+        """
+        most = math.log(_FLOOR) + 0.5
+        # the truth varies, or there is no slope; the others may be at nothing, where they stay
+        free = [0, *(1 + k for k in range(len(logs)) if k == _OMEGA or logs[k] > most)]
+        at = np.array([beta, *logs])
+        at[1 + _OMEGA] = max(at[1 + _OMEGA], math.log(_LEAST_TRUTH))
+
+        def adjusted(z: FloatArray) -> FloatArray:
+            here = at.copy()
+            here[free] = z
+            here[1:] = np.clip(here[1:], *self.bounds[0])
+            changes = [self._derivative(here, k) for k in free]
+            w = _inverse(self.covariance(float(here[0]), here[1:]))
+            inverse = _inverse(self.information(here, free))
+            product = _Products(w, [*changes, self._bend(here, free, inverse)])
+            # I b = -a / 2
+            bias = np.array([-0.25 * product.trace(i, len(free)) for i in range(len(free))])
+            result: FloatArray = product.score(self.data)[:-1] - bias
+            return result
+
+        try:
+            found = root(adjusted, at[free], method="hybr", options={"maxfev": 400})
+        except (np.linalg.LinAlgError, FloatingPointError):
+            return beta
+        good = found.success and abs(found.x[0]) < _FARTHEST and np.isfinite(found.x).all()
+        return float(found.x[0]) if good else beta
+
+    def _bend(self, at: FloatArray, free: Sequence[int], inverse: FloatArray) -> FloatArray:
+        """D of ``unbiased``, (patients, 2 regions, 2 regions)."""
+        beta, r = float(at[0]), self.r
+        tau, omega = np.exp(at[1:3])
+        bend = np.zeros((2 * r, 2 * r))
+        bend[r:, r:] = 2 * inverse[0, 0] * (tau * self.ones + omega * self.eye)
+        for k, change in ((1, tau * self.ones), (2, omega * self.eye)):
+            if k in free:
+                twice = 2 * inverse[0, free.index(k)]
+                bend[:r, r:] += twice * change
+                bend[r:, :r] += twice * change
+                bend[r:, r:] += twice * 2 * beta * change
+        return np.broadcast_to(bend, (self.n, 2 * r, 2 * r))
 
     def _derivative(self, at: FloatArray, k: int) -> FloatArray:
         """Of the covariance on parameter k, by central differences: V is quadratic in beta and an exponential of the others."""
@@ -197,6 +261,30 @@ class _Model:
         if not (variance > 0 and spread > 0):
             return float(most)
         return float(np.clip(2 * variance**2 / spread, 1.0, most))
+
+
+class _Products:
+    """Traces of P A P B and the score, for changes A, B, ... of the covariance, (patients, 2 regions, 2 regions) each."""
+
+    def __init__(self, w: FloatArray, changes: Sequence[FloatArray]) -> None:
+        self.w, self.c = w, _inverse(w.sum(axis=0))
+        self.wd = [w @ change for change in changes]
+        self.once = [np.einsum("nij,njk->ik", a, w) for a in self.wd]
+
+    def trace(self, i: int, j: int) -> float:
+        """tr(P A_i P A_j)."""
+        ab = self.wd[i] @ self.wd[j]
+        twice = (ab @ self.w).sum(axis=0)
+        within = float(np.trace(ab.sum(axis=0))) - 2 * float(np.sum(self.c * twice.T))
+        return within + float(np.trace(self.c @ self.once[i] @ self.c @ self.once[j]))
+
+    def score(self, data: FloatArray) -> FloatArray:
+        """(q' P A_i P q - tr(P A_i)) / 2 of data q, for each change."""
+        weighted = np.einsum("nij,nj->ni", self.w, data)
+        rest = data - self.c @ weighted.sum(axis=0)
+        squares = [float(np.einsum("ni,nij,njk,nk", rest, a, self.w, rest)) for a in self.wd]
+        traces = [float(np.trace(a.sum(axis=0))) - float(np.sum(self.c * b.T)) for a, b in zip(self.wd, self.once, strict=True)]
+        return 0.5 * (np.array(squares) - np.array(traces))
 
 
 def _limit(excess: Callable[[float, FloatArray], tuple[float, FloatArray]], beta: float, at: FloatArray, sign: float) -> float:
