@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from lacli.api.posterior import Posterior
     from lacli.api.study import Report
     from lacli.calibration.calibration import Settings as PublishedSettings
+    from lacli.calibration.price import Price
     from lacli.calibration.sequential.draw.information import Forecast
     from lacli.calibration.sequential.search import Settings as SequentialSettings
     from lacli.contracts.scene import load_scene
@@ -51,6 +52,7 @@ __all__ = [
     "Meshing",
     "NothingLeft",
     "Posterior",
+    "Price",
     "PublishedSettings",
     "Recovered",
     "Report",
@@ -94,6 +96,7 @@ __getattr__ = names_from(
         "lacli.api.posterior": ("Posterior",),
         "lacli.api.study": ("Report",),
         "lacli.calibration.calibration": ("Settings as PublishedSettings",),
+        "lacli.calibration.price": ("Price",),
         "lacli.calibration.sequential.draw.information": ("Forecast",),
         "lacli.calibration.sequential.search": ("Settings as SequentialSettings",),
         "lacli.contracts.scene": ("load_scene",),

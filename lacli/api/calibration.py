@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Literal, overload
 
 from lacli.base.errors import UsageError
 
@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from lacli.api.methods.calibrated import Calibrated, Recovered
     from lacli.api.progress import Cancel, OnProgress
     from lacli.calibration.calibration import Settings as PublishedSettings
+    from lacli.calibration.price import Price
     from lacli.calibration.sequential.draw.information import Forecast
     from lacli.calibration.sequential.search import Settings as SequentialSettings
     from lacli.contracts.scene import Scene
@@ -25,6 +26,7 @@ def calibrate(
     targets: Targets,
     folder: Path,
     *,
+    dry_run: Literal[False] = ...,
     forecast: Literal[False] = ...,
     method: Literal["sequential", "published"] | None = ...,
     truth: Mapping[str, float] | None = ...,
@@ -38,6 +40,7 @@ def calibrate(
     fresh: bool = ...,
     retry: bool = ...,
     discretisation: bool = ...,
+    cheap: Sequence[str] = ...,
     figures: bool = ...,
     progress: OnProgress | None = ...,
     cancel: Cancel | None = ...,
@@ -50,6 +53,7 @@ def calibrate(
     targets: Targets,
     folder: Path,
     *,
+    dry_run: Literal[False] = ...,
     forecast: Literal[True],
     method: Literal["sequential", "published"] | None = ...,
     truth: Mapping[str, float] | None = ...,
@@ -63,6 +67,7 @@ def calibrate(
     fresh: bool = ...,
     retry: bool = ...,
     discretisation: bool = ...,
+    cheap: Sequence[str] = ...,
     figures: bool = ...,
     progress: OnProgress | None = ...,
     cancel: Cancel | None = ...,
@@ -72,9 +77,10 @@ def calibrate(
 @overload
 def calibrate(
     scene: Scene | None,
-    targets: None,
+    targets: Targets,
     folder: Path,
     *,
+    dry_run: Literal[True],
     forecast: Literal[False] = ...,
     method: Literal["sequential", "published"] | None = ...,
     truth: Mapping[str, float] | None = ...,
@@ -88,6 +94,34 @@ def calibrate(
     fresh: bool = ...,
     retry: bool = ...,
     discretisation: bool = ...,
+    cheap: Sequence[str] = ...,
+    figures: bool = ...,
+    progress: OnProgress | None = ...,
+    cancel: Cancel | None = ...,
+) -> tuple[Price, ...]: ...
+
+
+@overload
+def calibrate(
+    scene: Scene | None,
+    targets: None,
+    folder: Path,
+    *,
+    dry_run: Literal[False] = ...,
+    forecast: Literal[False] = ...,
+    method: Literal["sequential", "published"] | None = ...,
+    truth: Mapping[str, float] | None = ...,
+    table: Path | None = ...,
+    box: Box | None = ...,
+    settings: SequentialSettings | PublishedSettings | None = ...,
+    store: Path | None = ...,
+    workers: int | None = ...,
+    scheduler: str | None = ...,
+    sensitivities: bool = ...,
+    fresh: bool = ...,
+    retry: bool = ...,
+    discretisation: bool = ...,
+    cheap: Sequence[str] = ...,
     figures: bool = ...,
     progress: OnProgress | None = ...,
     cancel: Cancel | None = ...,
@@ -99,6 +133,7 @@ def calibrate(
     targets: Targets | None,
     folder: Path,
     *,
+    dry_run: bool = False,
     forecast: bool = False,
     method: Literal["sequential", "published"] | None = None,
     truth: Mapping[str, float] | None = None,
@@ -112,36 +147,40 @@ def calibrate(
     fresh: bool = False,
     retry: bool = False,
     discretisation: bool = True,
+    cheap: Sequence[str] = (),
     figures: bool = False,
     progress: OnProgress | None = None,
     cancel: Cancel | None = None,
-) -> Calibrated | Forecast | Recovered:
+) -> Calibrated | Forecast | Recovered | tuple[Price, ...]:
     """The posterior of a patient's parameters, from simulations that are made where they tell most.
 
     Targets and inputs are in the units of their names; targets at times of the cycle (``n_septum_mm@0.2``) make the frames of
     the simulations. scene: what is run; or None, with a ``table`` of inputs and outputs of runs done elsewhere. method:
     ``sequential``, to the posterior with the runs' derivatives (tens of runs), or ``published``, waves over the box (hundreds);
     None: sequential where scene and settings let it. forecast: only what the targets can teach of each input, from the few
-    runs that the sequential method begins with. targets: or None, and the scene is simulated at known parameters, ``truth``
-    (those not named: away from centre and edges of the box), and calibrated at two noise levels by the published method.
+    runs that the sequential method begins with; dry_run: only what it costs at most, by kind of run. targets: or None, and the
+    scene is simulated at known parameters, ``truth`` (those not named: away from centre and edges of the box), and calibrated
+    at two noise levels by the published method.
 
     The prior is uniform on the box (default: the published ranges of the 9 inputs, or the table's). settings: runs, budgets,
     sampling, seed, of the method; store: folder of the simulations (default: in ``folder``); workers: simulations side by side
     here, scheduler: address of a Dask scheduler instead; sensitivities: whether runs tell their derivatives; fresh: start in a
     sub-folder where ``folder`` holds something else; retry: run again what the machine has ended three times; discretisation:
     whether the targets' errors are widened by the scene's discretisation errors, measured or by the model (no, where the
-    targets come from the very same numerics; a table says its own). Called again it goes on, and ends as if it had not been
+    targets come from the very same numerics; a table says its own). cheap: of the sequential method, ``key=value`` of numerics
+    (``order=1``), or of ``anatomy.bundle`` (coarser cells): with them most runs are made, and about ten of the scene's own
+    (``settings.reference_runs`` at most) correct them. Called again it goes on, and ends as if it had not been
     interrupted. Raises LacliError where no point of the box reaches the targets or too few runs finish, UsageError, TableError,
     AnatomyError, SolverMissingError, StorageError, Cancelled.
     """
     from lacli.api.methods import published, sequential
+    from lacli.api.methods.calibrated import Work
     from lacli.calibration.calibration import Settings as PublishedSettings
     from lacli.calibration.sequential.search import Settings as SequentialSettings
 
-    common: dict[str, Any] = {
-        "box": box, "store": store, "workers": workers, "scheduler": scheduler, "fresh": fresh, "progress": progress,
-        "cancel": cancel,
-    }  # fmt: skip
+    work = Work(
+        box, store, workers, scheduler, sensitivities, fresh, retry, discretisation, figures, progress, cancel, tuple(cheap)
+    )
     if (scene is None) == (table is None):
         raise UsageError("calibrate: give either a scene to simulate, or a table of runs done elsewhere.")
     if method is None:
@@ -153,19 +192,19 @@ def calibrate(
             raise UsageError(
                 "calibrate: the sequential method needs a scene whose runs tell derivatives, targets, its own settings."
             )
-        common |= {"settings": settings, "retry": retry, "discretisation": discretisation}
+        if dry_run:
+            return sequential.prices(scene, targets, folder, settings, work)
         if forecast:
-            return sequential.foresee(scene, targets, folder, **common)
-        return sequential.seek(scene, targets, folder, figures=figures, **common)
+            return sequential.foresee(scene, targets, folder, settings, work)
+        return sequential.seek(scene, targets, folder, settings, work)
     if isinstance(settings, SequentialSettings):
         raise UsageError("calibrate: these settings are of the sequential method.")
-    if forecast:
-        raise UsageError("calibrate: a forecast is of the sequential method, which needs a scene whose runs tell derivatives.")
-    if targets is None:
-        if scene is None:
-            raise UsageError("calibrate: known parameters are simulated; give a scene.")
-        return published.recover(scene, folder, truth=truth, settings=settings, figures=figures, **common)
-    return published.calibrate_by_waves(
-        scene, targets, folder, table=table, settings=settings, sensitivities=sensitivities, retry=retry,
-        discretisation=discretisation, figures=figures, **common,
-    )  # fmt: skip
+    if forecast or dry_run or cheap:
+        raise UsageError(
+            "calibrate: forecast, price and cheap runs are of the sequential method; the scene must tell derivatives."
+        )
+    if targets is not None:
+        return published.calibrate_by_waves(scene, table, targets, folder, settings, work)
+    if scene is None:
+        raise UsageError("calibrate: known parameters are simulated; give a scene.")
+    return published.recover(scene, truth or {}, folder, settings, work)

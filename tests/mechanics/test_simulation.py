@@ -161,9 +161,9 @@ def test_out_of_time_in_the_unloaded_state_loses_that_state_alone(folder: Path, 
         """The run as if stopped while the unloaded state was sought, in the middle of a line."""
         outcome = run(*arguments, **options)
         history = arguments[2] / "history.txt"
-        before = history.read_text().split("state unloaded")[0]
+        before = history.read_text().split("state_unloaded")[0]
         assert before.endswith("end\n")
-        history.write_text(before + "state unlo")
+        history.write_text(before + "state_unlo")
         (arguments[2] / "unloaded.txt").unlink()
         return replace(outcome, kind="timeout", message="stopped")
 

@@ -7,9 +7,29 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from lacli.api.progress import Cancel, OnProgress
     from lacli.calibration.calibration import Calibration
     from lacli.calibration.sequential.result import Sequential
     from lacli.calibration.synthetic_truth import Recovery
+    from lacli.inference.box import Box
+
+
+@dataclass(frozen=True)
+class Work:
+    """How a calibration is worked at, whatever its method; each as the argument of ``lacli.calibrate`` of its name."""
+
+    box: Box | None = None
+    store: Path | None = None
+    workers: int | None = None
+    scheduler: str | None = None
+    sensitivities: bool = True
+    fresh: bool = False
+    retry: bool = False
+    discretisation: bool = True
+    figures: bool = False
+    progress: OnProgress | None = None
+    cancel: Cancel | None = None
+    cheap: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lacli.api.methods.calibrated import Calibrated, Recovered
+from lacli.api.methods.calibrated import Calibrated, Recovered, Work
 from lacli.api.posterior import check_prior
 from lacli.api.progress import Cancel, OnProgress, Stage
 from lacli.base.errors import UsageError
@@ -25,23 +25,7 @@ REFUSED = "the most probable point misses a target by more than the threshold: t
 
 
 def calibrate_by_waves(
-    scene: Scene | None,
-    targets: Targets,
-    folder: Path,
-    *,
-    table: Path | None = None,
-    box: Box | None = None,
-    settings: Settings | None = None,
-    store: Path | None = None,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    sensitivities: bool = True,
-    fresh: bool = False,
-    retry: bool = False,
-    discretisation: bool = True,
-    figures: bool = False,
-    progress: OnProgress | None = None,
-    cancel: Cancel | None = None,
+    scene: Scene | None, table: Path | None, targets: Targets, folder: Path, settings: Settings | None, work: Work
 ) -> Calibrated:
     """The calibration of a patient: waves of runs, history matching, the posterior, and the run at its most probable point.
 
@@ -53,14 +37,12 @@ def calibrate_by_waves(
     from lacli.calibration.from_table import calibrate_table
     from lacli.report import calibration_figures as drawing
 
-    if (scene is None) == (table is None):
-        raise UsageError("calibrate: give either a scene to simulate, or a table of runs done elsewhere.")
     settings = settings or Settings()
     _check(settings, folder)
-    hear = _Listener(progress, cancel)
+    hear = _Listener(work.progress, work.cancel)
     said: list[str] = []
     if table is not None:
-        folder, result = calibrate_table(table, targets, box, settings, folder, fresh, hear)
+        folder, result = calibrate_table(table, targets, work.box, settings, folder, work.fresh, hear)
     else:
         from lacli.base.processes.locks import working_on
         from lacli.calibration.calibration import calibration_identity, obstacle
@@ -69,21 +51,21 @@ def calibrate_by_waves(
         from lacli.mechanics.numerics.stated import MEASURED, said_of, with_discretisation
 
         assert scene is not None
-        box = box or published_box()
-        if discretisation:
+        box = work.box or published_box()
+        if work.discretisation:
             # what was measured is in the table of runs already, and reaches the likelihood from there
             targets, stated = with_discretisation(targets, scene, but=MEASURED)
             said = said_of(targets.names, stated)
-        run = _simulator(scene, store or folder / WAVES, workers, scheduler, targets.names, sensitivities)
+        run = _simulator(scene, folder, work, targets.names, work.sensitivities)
         of_runs = runs_identity(run, box.names, targets.names)
         identity = calibration_identity(box, targets, settings, of_runs)
-        folder = _settle(folder, lambda place: obstacle(place, identity), of_runs, fresh)
+        folder = _settle(folder, lambda place: obstacle(place, identity), of_runs, work.fresh)
         with working_on(folder):
-            log = RunLog(folder / "runs.csv", box.names, targets.names, of_runs, retry)
+            log = RunLog(folder / "runs.csv", box.names, targets.names, of_runs, work.retry)
             result = run_waves(run, box, targets, settings, folder, log, monitor=hear)
     superseded(folder, *drawing.FIGURES)
     pictures: list[Path] = []
-    if figures:
+    if work.figures:
         hear.drawing()
         pictures = drawing.draw_calibration(result, folder)
     notes = tuple(dict.fromkeys([*said, *(note for wave in result.waves for note in wave.notes)]))
@@ -91,21 +73,7 @@ def calibrate_by_waves(
     return Calibrated(folder, result, notes, tuple(result.verdict.warnings()), refused, tuple(pictures))
 
 
-def recover(
-    scene: Scene,
-    folder: Path,
-    *,
-    truth: Mapping[str, float] | None = None,
-    box: Box | None = None,
-    settings: Settings | None = None,
-    store: Path | None = None,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    fresh: bool = False,
-    figures: bool = False,
-    progress: OnProgress | None = None,
-    cancel: Cancel | None = None,
-) -> Recovered:
+def recover(scene: Scene, truth: Mapping[str, float], folder: Path, settings: Settings | None, work: Work) -> Recovered:
     """What calibrations find of parameters that are known: the scene is simulated there, and calibrated at two noise levels.
 
     truth: values of some inputs, in the units of their names (others: away from the centre and the edges of the box); the
@@ -122,18 +90,18 @@ def recover(
 
     settings = settings or Settings()
     _check(settings, folder)
-    box = box or published_box()
-    run = _simulator(scene, store or folder / WAVES, workers, scheduler, (), False)
-    x = _point(truth or {}, box)
+    box = work.box or published_box()
+    run = _simulator(scene, folder, work, (), False)
+    x = _point(truth, box)
     of_runs = runs_identity(run, box.names, logged(OUTPUTS))
     identity = truth_identity(run, box, OUTPUTS, x, settings)
-    folder = _settle(folder, lambda place: obstacle(place, identity), of_runs, fresh)
-    hear = _Listener(progress, cancel)
+    folder = _settle(folder, lambda place: obstacle(place, identity), of_runs, work.fresh)
+    hear = _Listener(work.progress, work.cancel)
     with working_on(folder):
         levels = verify(run, box, OUTPUTS, x, settings, folder, hear)
     superseded(folder, drawing.RECOVERY, *(f"{r.level}/{name}" for r in levels for name in drawing.FIGURES))
     pictures: list[Path] = []
-    if figures:
+    if work.figures:
         hear.drawing()
         pictures = drawing.draw_recoveries(levels, box, folder)
     return Recovered(folder, tuple(levels), tuple(pictures))
@@ -146,12 +114,11 @@ def _check(settings: Settings, folder: Path) -> None:
     check_folder(folder)
 
 
-def _simulator(
-    scene: Scene, store: Path, workers: int | None, scheduler: str | None, targets: Sequence[str], sensitivities: bool
-) -> SceneSimulator:
+def _simulator(scene: Scene, folder: Path, work: Work, targets: Sequence[str], sensitivities: bool) -> SceneSimulator:
     from lacli.calibration.simulator import simulator
 
-    return simulator(scene, store, workers, scheduler, targets=targets, sensitivities=sensitivities)
+    store = work.store or folder / WAVES
+    return simulator(scene, store, work.workers, work.scheduler, targets=targets, sensitivities=sensitivities)
 
 
 def _settle(folder: Path, in_the_way: Callable[[Path], str], of_runs: Identity, fresh: bool) -> Path:

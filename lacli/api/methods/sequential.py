@@ -1,4 +1,4 @@
-"""The sequential method: a calibration that seeks the posterior, and its forecast."""
+"""The sequential method: a calibration that seeks the posterior, its forecast, and its price."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lacli.api.methods.calibrated import Calibrated
-from lacli.api.progress import Cancel, OnProgress, Stage
+from lacli.api.methods.calibrated import Calibrated, Work
+from lacli.api.progress import Stage
 from lacli.base.errors import UsageError
 
 if TYPE_CHECKING:
+    from lacli.calibration.price import Price
     from lacli.calibration.sequential.draw.information import Forecast
-    from lacli.calibration.sequential.search import Settings, Status
+    from lacli.calibration.sequential.search import Reference, Settings, Status
     from lacli.calibration.simulator import SceneSimulator
     from lacli.contracts.scene import Scene
     from lacli.contracts.targets import Targets
@@ -28,18 +29,8 @@ def seek(
     scene: Scene,
     targets: Targets,
     folder: Path,
-    *,
-    box: Box | None = None,
-    settings: Settings | None = None,
-    store: Path | None = None,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    fresh: bool = False,
-    retry: bool = False,
-    discretisation: bool = True,
-    figures: bool = False,
-    progress: OnProgress | None = None,
-    cancel: Cancel | None = None,
+    settings: Settings | None,
+    work: Work,
 ) -> Calibrated:
     """The posterior of a patient's parameters from few runs that tell their derivatives, with a check of the whole box.
 
@@ -50,13 +41,13 @@ def seek(
     from lacli.inference.sampling.posterior import LEAST_CONTRACTION
     from lacli.report.inference_figures_posterior import corner_figure, trace_figure
 
-    job = _prepared(scene, targets, folder, box, settings, store, workers, scheduler, fresh, retry, discretisation)
-    stage = Stage("calibration", 1.0, progress, cancel)
-    result = calibrate_sequentially(*job.parts, _hearing(stage), job.notes)
+    job = _prepared(scene, targets, folder, settings, work)
+    stage = Stage("calibration", 1.0, work.progress, work.cancel)
+    result = calibrate_sequentially(*job.parts, _hearing(stage), job.notes, reference=job.reference)
     folder, box = job.folder, job.box
     superseded(folder, *FIGURES)
     pictures: tuple[Path, ...] = ()
-    if figures:
+    if work.figures:
         stage.of("drawing", 0.0, 1.0)
         corner, trace = (folder / name for name in FIGURES)
         unlearnt = [str(row["input"]) for row in result.table if float(row["contraction"]) < LEAST_CONTRACTION]
@@ -68,17 +59,8 @@ def foresee(
     scene: Scene,
     targets: Targets,
     folder: Path,
-    *,
-    box: Box | None = None,
-    settings: Settings | None = None,
-    store: Path | None = None,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    fresh: bool = False,
-    retry: bool = False,
-    discretisation: bool = True,
-    progress: OnProgress | None = None,
-    cancel: Cancel | None = None,
+    settings: Settings | None,
+    work: Work,
 ) -> Forecast:
     """What the targets can teach of each input, before the calibration: its prior's sd, and the posterior's that is expected.
 
@@ -87,8 +69,32 @@ def foresee(
     """
     from lacli.calibration.sequential.calibration import forecast_sequentially
 
-    job = _prepared(scene, targets, folder, box, settings, store, workers, scheduler, fresh, retry, discretisation)
-    return forecast_sequentially(*job.parts, _hearing(Stage("forecast", 1.0, progress, cancel)))
+    job = _prepared(scene, targets, folder, settings, work)
+    return forecast_sequentially(*job.parts, _hearing(Stage("forecast", 1.0, work.progress, work.cancel)))
+
+
+def prices(scene: Scene, targets: Targets, folder: Path, settings: Settings | None, work: Work) -> tuple[Price, ...]:
+    """What the calibration costs at most, by kind of run, without a run: the scene's own, and the cheap ones where there are any.
+
+    Corrected by the finished runs in the store (default: in ``folder``), if there are any. Raises UsageError, SceneError,
+    AnatomyError.
+    """
+    from lacli.calibration.price import price
+    from lacli.calibration.sequential.fidelity.companion import companion
+    from lacli.calibration.sequential.search import Settings
+    from lacli.calibration.simulator import asked
+    from lacli.mechanics.numerics.earlier import earlier
+
+    if words := lacking(scene):
+        raise UsageError(f"calibrate: {words} Change the scene, or use --method published.")
+    settings, done = settings or Settings(), earlier(work.store or folder / RUNS)
+    own = price(
+        "the scene's own", asked(scene, targets.names), settings.reference_runs if work.cheap else settings.max_runs, done
+    )
+    if not work.cheap:
+        return (own,)
+    beside = asked(companion(scene, work.cheap), targets.names)
+    return own, price(f"cheap: {' '.join(work.cheap)}", beside, settings.max_runs, done)
 
 
 @dataclass(frozen=True)
@@ -100,30 +106,21 @@ class _Job:
     folder: Path
     log: RunLog
     notes: list[str]
+    reference: Reference | None
 
     @property
     def parts(self) -> tuple[SceneSimulator, Box, Targets, Settings, Path, RunLog]:
         return self.simulator, self.box, self.targets, self.settings, self.folder, self.log
 
 
-def _prepared(
-    scene: Scene,
-    targets: Targets,
-    folder: Path,
-    box: Box | None,
-    settings: Settings | None,
-    store: Path | None,
-    workers: int | None,
-    scheduler: str | None,
-    fresh: bool,
-    retry: bool,
-    discretisation: bool,
-) -> _Job:
+def _prepared(scene: Scene, targets: Targets, folder: Path, settings: Settings | None, work: Work) -> _Job:
     """What is run, held against what, where."""
     from lacli.base.files import check_folder
     from lacli.calibration.calibration import obstacle
     from lacli.calibration.sequential.calibration import sequential_identity
-    from lacli.calibration.sequential.search import Settings
+    from lacli.calibration.sequential.fidelity.companion import companion
+    from lacli.calibration.sequential.outputs import CHEAP, LOG
+    from lacli.calibration.sequential.search import Reference, Settings
     from lacli.calibration.simulator import simulator
     from lacli.contracts.identity import settle
     from lacli.inference.box import published_box
@@ -134,17 +131,25 @@ def _prepared(
     if words := lacking(scene):
         raise UsageError(f"calibrate: {words} Change the scene, or use --method published.")
     check_folder(folder)
-    settings, box = settings or Settings(), box or published_box()
-    run = simulator(scene, store or folder / RUNS, workers, scheduler, targets=targets.names)
-    of_runs = runs_identity(run, box.names, targets.names)
+    settings, box = settings or Settings(), work.box or published_box()
+    kinds = [(scene, LOG), *([(companion(scene, work.cheap), CHEAP)] if work.cheap else [])]
+    # its own numerics first; the cheap ones, if any, carry the search
+    runs = [simulator(one, work.store or folder / RUNS, work.workers, work.scheduler, targets=targets.names) for one, _ in kinds]
+    made = [runs_identity(run, box.names, targets.names) for run in runs]
     notes: list[str] = []
-    if discretisation:
+    if work.discretisation:
         targets, stated = with_discretisation(targets, scene)
         notes = said_of(targets.names, stated)
-    identity = sequential_identity(box, targets, settings, of_runs)
-    folder = settle(folder, lambda place: obstacle(place, identity) or in_the_way(place / "runs.csv", of_runs), fresh)
-    log = RunLog(folder / "runs.csv", box.names, targets.names, of_runs, retry)
-    return _Job(run, box, targets, settings, folder, log, notes)
+    identity = sequential_identity(box, targets, settings, made[-1], made[0] if work.cheap else None)
+    beside = [(name, of_runs) for (_, name), of_runs in zip(kinds, made, strict=True)]
+
+    def hindered(place: Path) -> str:
+        return obstacle(place, identity) or next(filter(None, (in_the_way(place / name, of) for name, of in beside)), "")
+
+    folder = settle(folder, hindered, work.fresh)
+    logs = [RunLog(folder / name, box.names, targets.names, of_runs, work.retry) for name, of_runs in beside]
+    reference = Reference(runs[0], logs[0]) if work.cheap else None
+    return _Job(runs[-1], box, targets, settings, folder, logs[-1], notes, reference)
 
 
 def _hearing(stage: Stage) -> Callable[[Status], None]:

@@ -68,7 +68,8 @@ def test_a_scene_without_derivatives_says_so(scene: lacli.Scene, change: dict[st
         ({"method": "sequential", "sensitivities": False}, "needs a scene whose runs tell derivatives"),
         ({"method": "sequential", "settings": lacli.types.PublishedSettings()}, "its own settings"),
         ({"method": "published", "settings": lacli.types.SequentialSettings()}, "of the sequential method"),
-        ({"method": "published", "forecast": True}, "a forecast is of the sequential method"),
+        ({"method": "published", "forecast": True}, "forecast, price and cheap runs are of the sequential method"),
+        ({"method": "published", "cheap": ["order=1"]}, "forecast, price and cheap runs"),
         ({"settings": lacli.types.PublishedSettings(prior="flat")}, "--prior flat"),
     ],
 )
