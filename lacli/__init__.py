@@ -22,11 +22,14 @@ if TYPE_CHECKING:
     from lacli.api.motion import Tracking, track
     from lacli.api.posterior import Posterior, posterior
     from lacli.api.progress import Progress
+    from lacli.api.questions import study
     from lacli.api.segmentation import segment
     from lacli.api.study import Cohort, Report, compare, plan_cohort, run_cohort, stats, write_report, write_slurm
     from lacli.api.validation import validate
     from lacli.base.errors import Cancelled, LacliError
     from lacli.calibration.calibration import Settings as CalibrationSettings
+    from lacli.cohort.studies.laplace import LaplaceStudy
+    from lacli.cohort.studies.thickness import ThicknessStudy
     from lacli.contracts.scene import Scene, load_scene
     from lacli.contracts.tables.table import RunTable, read_one, read_runs
     from lacli.contracts.targets import Targets, read_targets
@@ -50,6 +53,7 @@ __all__ = [
     "FatSegmentation",
     "InstallationCheck",
     "LacliError",
+    "LaplaceStudy",
     "Matching",
     "Meshing",
     "NothingLeft",
@@ -66,6 +70,7 @@ __all__ = [
     "Sensitivity",
     "Synthesis",
     "Targets",
+    "ThicknessStudy",
     "Tracking",
     "Tradeoff",
     "Validation",
@@ -97,6 +102,7 @@ __all__ = [
     "sensitivity",
     "simulate",
     "stats",
+    "study",
     "synthesize",
     "track",
     "tradeoff",
@@ -117,10 +123,13 @@ _HOMES = {
     "lacli.api.motion": ("Tracking", "track"),
     "lacli.api.posterior": ("Posterior", "posterior"),
     "lacli.api.progress": ("Progress",),
+    "lacli.api.questions": ("study",),
     "lacli.api.segmentation": ("segment",),
     "lacli.api.study": ("Cohort", "Report", "compare", "plan_cohort", "run_cohort", "stats", "write_report", "write_slurm"),
     "lacli.api.validation": ("validate",),
     "lacli.base.errors": ("Cancelled", "LacliError"),
+    "lacli.cohort.studies.laplace": ("LaplaceStudy",),
+    "lacli.cohort.studies.thickness": ("ThicknessStudy",),
     "lacli.contracts.scene": ("Scene", "load_scene"),
     "lacli.contracts.tables.table": ("RunTable", "read_one", "read_runs"),
     "lacli.contracts.targets": ("Targets", "read_targets"),

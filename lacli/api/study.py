@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -183,14 +183,18 @@ def run_cohort(
     scene: Path | None = None,
     settings: Path | None = None,
     only: Sequence[str] = (),
+    scheduler: str | None = None,
+    slurm: bool = False,
     progress: OnProgress | None = None,
     cancel: Cancel | None = None,
 ) -> Cohort:
     """Every patient of a table: mesh, fat, track, calibrate, compare, as far as it has the files, and the tables.
 
     Each step is a call of ``lacli`` in a process of its own; what is done is found again by content. only: these patients (the
-    tables hold all that are done, in the units of their columns' names). A patient who fails is an outcome. Raises TableError,
-    UsageError, InputError before anything is run, Cancelled (what is done is kept).
+    tables hold all that are done, in the units of their columns' names). A patient who fails is an outcome. scheduler: address
+    of a Dask scheduler, whose workers take a patient each and see the same files; slurm: such workers as SLURM jobs of the
+    settings' ``[slurm]``. Raises TableError, UsageError, InputError before anything is run, Cancelled, LacliError where the
+    scheduler is lost (what is done is kept).
     """
     from lacli.api.progress import Stage
     from lacli.base.files import check_folder
@@ -204,8 +208,16 @@ def run_cohort(
     home = folder.absolute()
     for patient, steps in chosen:
         planned(patient, steps, home / patient.identifier)
+    if scheduler is not None and slurm:
+        raise UsageError("a scheduler that is there, or SLURM's own jobs: one of the two.")
     outcomes: dict[str, Outcome] = {}
-    for patient, steps in chosen:
+    if slurm:
+        for found in _on_slurm(chosen, home, settings, progress, cancel):
+            outcomes[found.participant_id] = found
+    elif scheduler is not None:
+        for found in _on_cluster(chosen, home, scheduler, progress, cancel):
+            outcomes[found.participant_id] = found
+    for patient, steps in chosen if not slurm and scheduler is None else ():
         stage = Stage(patient.identifier, len(steps), progress, cancel).begin()
         begun: list[str] = []
 
@@ -221,6 +233,63 @@ def run_cohort(
             outcomes[patient.identifier] = known
     ordered = tuple(outcomes[p.identifier] for p in every if p.identifier in outcomes)
     return Cohort(ordered, write_summary(folder, every, ordered))
+
+
+def _on_cluster(
+    chosen: Sequence[tuple[Participant, list[Step]]],
+    home: Path,
+    scheduler: str,
+    progress: OnProgress | None,
+    cancel: Cancel | None,
+    left: Callable[[int], None] = lambda count: None,
+) -> Iterator[Outcome]:
+    """Outcomes as they come; ``left`` is told about each second how many are to come."""
+    from lacli.api.progress import Stage, check
+    from lacli.cohort.cluster import patients_on_cluster
+
+    stages = [Stage(patient.identifier, len(steps), progress, cancel) for patient, steps in chosen]
+    names = [[step.name for step in steps] for _, steps in chosen]
+    count = len(chosen)
+
+    def look() -> None:
+        check(cancel, "the study")
+        left(count)
+
+    def begun(index: int, name: str) -> None:
+        stages[index].reach(names[index].index(name))
+
+    for index, outcome in patients_on_cluster(chosen, home, scheduler, begun, look):
+        count -= 1
+        stages[index].reach(len(names[index]))
+        yield outcome
+
+
+def _on_slurm(
+    chosen: Sequence[tuple[Participant, list[Step]]],
+    home: Path,
+    settings: Path | None,
+    progress: OnProgress | None,
+    cancel: Cancel | None,
+) -> Iterator[Outcome]:
+    from lacli.cohort.slurm import workers
+    from lacli.cohort.steps import read_settings
+
+    logs = _slurm_folder(home)
+    with workers(read_settings(settings), logs) as (address, keep):
+        keep(len(chosen))
+        yield from _on_cluster(chosen, home, address, progress, cancel, keep)
+
+
+def _slurm_folder(home: Path) -> Path:
+    """Where SLURM's jobs say what they have to say. Raises UsageError, StorageError."""
+    from lacli.base.files import check_folder
+
+    logs = home / "slurm"
+    if not PLAIN_PATH.fullmatch(str(logs)):
+        raise UsageError(f"{logs}: SLURM takes no path with such letters; choose another --out.")
+    check_folder(logs)
+    logs.mkdir(parents=True, exist_ok=True)
+    return logs
 
 
 def cohort_cost(rows: Sequence[Planned], folder: Path, settings: Path | None = None) -> dict[str, Any]:
@@ -247,16 +316,12 @@ def write_slurm(
     """
     import sys
 
-    from lacli.base.files import check_folder, write_text
+    from lacli.base.files import write_text
     from lacli.cohort.slurm import array_script
     from lacli.cohort.steps import read_settings
 
     patients = _patients(participants, folder, scene, settings, ())
-    logs = folder.absolute() / "slurm"
-    if not PLAIN_PATH.fullmatch(str(logs)):
-        raise UsageError(f"{logs}: SLURM takes no path with such letters; choose another --out.")
-    check_folder(logs)
-    logs.mkdir(parents=True, exist_ok=True)
+    logs = _slurm_folder(folder.absolute())
     call = ["cohort", str(participants.absolute()), "--out", str(folder.absolute())]
     for option, file in (("--scene", scene), ("--settings", settings)):
         call += [option, str(file.absolute())] if file is not None else []
