@@ -65,6 +65,9 @@ def main() -> int:
     print(found.mean().map("{:.0%}".format).to_string())
     told = claims(choice.study, [str(name) for name in found.index])
     print(told.to_string())
+    if told.empty:
+        print("no models are compared")
+        return 1
     preferred = told[told["verdict"].str.contains("strongly preferred")]
     claimed = preferred["verdict"].str.startswith("regional")
     wrong = claimed[claimed != (arm == "heterogeneous")]

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from lacli.api.motion import track
     from lacli.api.posterior import posterior
     from lacli.api.progress import Progress
+    from lacli.api.questions import study
     from lacli.api.segmentation import segment
     from lacli.api.study import compare, stats, write_report
     from lacli.api.validation import validate
@@ -52,6 +53,7 @@ __all__ = [
     "sensitivity",
     "simulate",
     "stats",
+    "study",
     "synthesize",
     "track",
     "tradeoff",
@@ -72,6 +74,7 @@ __getattr__ = names_from(
         "lacli.api.motion": ("track",),
         "lacli.api.posterior": ("posterior",),
         "lacli.api.progress": ("Progress",),
+        "lacli.api.questions": ("study",),
         "lacli.api.segmentation": ("segment",),
         "lacli.api.study": ("compare", "stats", "write_report"),
         "lacli.api.validation": ("validate",),

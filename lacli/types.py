@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from lacli.calibration.price import Price
     from lacli.calibration.sequential.draw.information import Forecast
     from lacli.calibration.sequential.search import Settings as SequentialSettings
+    from lacli.cohort.studies.laplace import LaplaceStudy
+    from lacli.cohort.studies.thickness import ThicknessStudy
     from lacli.contracts.scene import load_scene
     from lacli.contracts.tables.table import RunTable, read_one, read_runs
     from lacli.contracts.targets import read_targets
@@ -48,6 +50,7 @@ __all__ = [
     "FatSegmentation",
     "Forecast",
     "InstallationCheck",
+    "LaplaceStudy",
     "Matching",
     "Meshing",
     "NothingLeft",
@@ -64,6 +67,7 @@ __all__ = [
     "Sensitivity",
     "SequentialSettings",
     "Synthesis",
+    "ThicknessStudy",
     "Tracking",
     "Tradeoff",
     "Validation",
@@ -99,6 +103,8 @@ __getattr__ = names_from(
         "lacli.calibration.price": ("Price",),
         "lacli.calibration.sequential.draw.information": ("Forecast",),
         "lacli.calibration.sequential.search": ("Settings as SequentialSettings",),
+        "lacli.cohort.studies.laplace": ("LaplaceStudy",),
+        "lacli.cohort.studies.thickness": ("ThicknessStudy",),
         "lacli.contracts.scene": ("load_scene",),
         "lacli.contracts.tables.table": ("RunTable", "read_one", "read_runs"),
         "lacli.contracts.targets": ("read_targets",),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -44,48 +44,55 @@ def run_cohort(
     scene: Path | None = None,
     settings: Path | None = None,
     only: Sequence[str] = (),
+    scheduler: str | None = None,
+    slurm: bool = False,
     dry_run: bool = False,
-    slurm: Path | None = None,
+    script: Path | None = None,
     progress: OnProgress | None = None,
     cancel: Cancel | None = None,
 ) -> Cohort:
     """Every patient of a table: mesh, fat, track, calibrate, compare, as far as it has the files, and the tables.
 
     Each step is a call of ``lacli`` in a process of its own; what is done is found again by content. only: these patients (the
-    tables hold all that are done, in the units of their columns' names). dry_run: steps, their state and cost are told, nothing
-    is run; slurm: neither, and a SLURM array script, a task a patient, is written there. A patient who fails is an outcome.
-    Raises TableError, UsageError, InputError before anything is run, StorageError, Cancelled (what is done is kept).
+    tables hold all that are done, in the units of their columns' names). A patient who fails is an outcome. scheduler: address
+    of a Dask scheduler, whose workers take a patient each and see the same files; slurm: such workers as SLURM jobs of the
+    settings' ``[slurm]``. dry_run: steps, their state and cost are told, nothing is run; script: neither, and a SLURM array
+    script, a task a patient, is written there. Raises TableError, UsageError, InputError before anything is run, StorageError,
+    Cancelled, LacliError where the scheduler is lost (what is done is kept).
     """
     from lacli.base.files import check_folder
     from lacli.cohort.study import planned
 
-    if slurm is not None and only:
+    if slurm + (scheduler is not None) + (script is not None) > 1:
+        raise UsageError("cohort: a scheduler, SLURM's own jobs, or a script for SLURM: one of them.")
+    if script is not None and only:
         raise UsageError("--write-slurm writes a task for every participant; leave --only out.")
-    if not dry_run and slurm is None:
+    if not dry_run and script is None:
         check_folder(folder)
     home = folder.absolute()
     chosen = _patients(participants, folder, scene, settings, only)
     rows = {patient.identifier: planned(patient, steps, home / patient.identifier) for patient, steps in chosen}
     steps = tuple(row for of_patient in rows.values() for row in of_patient)
     cost = _cost(chosen, steps, folder, settings)
-    if slurm is not None:
-        _write_slurm(participants, folder, slurm, scene, settings, list(rows))
-    if dry_run or slurm is not None:
+    if script is not None:
+        _write_slurm(participants, folder, script, scene, settings, list(rows))
+    if dry_run or script is not None:
         return Cohort(steps, cost)
-    outcomes, summary = _run(participants, folder, chosen, progress, cancel)
+    if slurm:
+        found = _on_slurm(chosen, home, settings, progress, cancel)
+    elif scheduler is not None:
+        found = _on_cluster(chosen, home, scheduler, progress, cancel)
+    else:
+        found = _here(chosen, home, progress, cancel)
+    outcomes, summary = _gathered(participants, folder, {outcome.participant_id: outcome for outcome in found})
     return Cohort(steps, cost, outcomes, summary)
 
 
-def _run(
-    participants: Path, folder: Path, chosen: Patients, progress: OnProgress | None, cancel: Cancel | None
-) -> tuple[tuple[Outcome, ...], dict[str, Any]]:
+def _here(chosen: Patients, home: Path, progress: OnProgress | None, cancel: Cancel | None) -> Iterator[Outcome]:
+    """One patient after the other."""
     from lacli.api.progress import Stage
-    from lacli.cohort.analysis.summary import write_summary
-    from lacli.cohort.participants import read_participants
-    from lacli.cohort.study import known_outcome, run
+    from lacli.cohort.study import run
 
-    every, home = read_participants(participants), folder.absolute()
-    outcomes: dict[str, Outcome] = {}
     for patient, steps in chosen:
         stage = Stage(patient.identifier, len(steps), progress, cancel).begin()
         begun: list[str] = []
@@ -95,8 +102,74 @@ def _run(
             stage.reach(len(begun) - 1)
 
         wanted = (lambda: not cancel()) if cancel is not None else (lambda: True)
-        outcomes[patient.identifier] = run(patient, steps, home / patient.identifier, tick, wanted)
+        yield run(patient, steps, home / patient.identifier, tick, wanted)
         stage.reach(len(steps))
+
+
+def _on_cluster(
+    chosen: Patients,
+    home: Path,
+    scheduler: str,
+    progress: OnProgress | None,
+    cancel: Cancel | None,
+    left: Callable[[int], None] = lambda count: None,
+) -> Iterator[Outcome]:
+    """Outcomes as they come; ``left`` is told about each second how many are to come."""
+    from lacli.api.progress import Stage, check
+    from lacli.cohort.cluster import patients_on_cluster
+
+    stages = [Stage(patient.identifier, len(steps), progress, cancel) for patient, steps in chosen]
+    names = [[step.name for step in steps] for _, steps in chosen]
+    count = len(chosen)
+
+    def look() -> None:
+        check(cancel, "the study")
+        left(count)
+
+    def begun(index: int, name: str) -> None:
+        stages[index].reach(names[index].index(name))
+
+    for index, outcome in patients_on_cluster(chosen, home, scheduler, begun, look):
+        count -= 1
+        stages[index].reach(len(names[index]))
+        yield outcome
+
+
+def _on_slurm(
+    chosen: Patients,
+    home: Path,
+    settings: Path | None,
+    progress: OnProgress | None,
+    cancel: Cancel | None,
+) -> Iterator[Outcome]:
+    from lacli.cohort.slurm import workers
+    from lacli.cohort.steps import read_settings
+
+    logs = _slurm_folder(home)
+    with workers(read_settings(settings), logs) as (address, keep):
+        keep(len(chosen))
+        yield from _on_cluster(chosen, home, address, progress, cancel, keep)
+
+
+def _slurm_folder(home: Path) -> Path:
+    """Where SLURM's jobs say what they have to say. Raises UsageError, StorageError."""
+    from lacli.base.files import check_folder
+
+    logs = home / "slurm"
+    if not PLAIN_PATH.fullmatch(str(logs)):
+        raise UsageError(f"{logs}: SLURM takes no path with such letters; choose another --out.")
+    check_folder(logs)
+    logs.mkdir(parents=True, exist_ok=True)
+    return logs
+
+
+def _gathered(participants: Path, folder: Path, outcomes: dict[str, Outcome]) -> tuple[tuple[Outcome, ...], dict[str, Any]]:
+    """With those of earlier calls, in the table's order, and the study's tables and summary."""
+    from lacli.cohort.analysis.summary import write_summary
+    from lacli.cohort.participants import read_participants
+    from lacli.cohort.study import known_outcome
+
+    every, home = read_participants(participants), folder.absolute()
     for patient in every:
         if patient.identifier not in outcomes and (known := known_outcome(home / patient.identifier)) is not None:
             outcomes[patient.identifier] = known
@@ -150,15 +223,11 @@ def _write_slurm(
 ) -> None:
     import sys
 
-    from lacli.base.files import check_folder, write_text
+    from lacli.base.files import write_text
     from lacli.cohort.slurm import array_script
     from lacli.cohort.steps import read_settings
 
-    logs = folder.absolute() / "slurm"
-    if not PLAIN_PATH.fullmatch(str(logs)):
-        raise UsageError(f"{logs}: SLURM takes no path with such letters; choose another --out.")
-    check_folder(logs)
-    logs.mkdir(parents=True, exist_ok=True)
+    logs = _slurm_folder(folder.absolute())
     call = ["cohort", str(participants.absolute()), "--out", str(folder.absolute())]
     for option, file in (("--scene", scene), ("--settings", settings)):
         call += [option, str(file.absolute())] if file is not None else []

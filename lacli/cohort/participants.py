@@ -34,6 +34,10 @@ class Participant:
     paths: Mapping[str, Path]
     others: Mapping[str, str]
 
+    def __reduce__(self) -> tuple[type, tuple[object, ...]]:
+        """As it is sent to a cluster's workers: a mapping proxy cannot be."""
+        return Participant, (self.identifier, dict(self.paths), dict(self.others))
+
 
 def read_participants(path: Path) -> list[Participant]:
     """The participants of a CSV or Parquet table; paths are taken from the table's folder.

@@ -80,13 +80,16 @@ def material(
 @dataclass(frozen=True)
 class Setup:
     """An equilibrium: ``held`` (nodes, coordinates 0 to 2), pressure in kPa on the faces with ``loaded`` tags,
-    ``start`` and ``at`` (n, 3) mm where the iteration begins and where held nodes go; the rest steers the iteration."""
+    ``springs`` in kPa/mm along the normal on the faces with ``sprung`` tags, ``start`` and ``at`` (n, 3) mm where the iteration
+    begins and where held nodes go; the rest steers the iteration."""
 
     bundle: Bundle
     material: FloatArray
     held: tuple[IntArray, IntArray]
     pressure: float = 0.0
     loaded: tuple[int, ...] = ()
+    springs: float = 0.0
+    sprung: tuple[int, ...] = ()
     start: FloatArray | None = None
     at: FloatArray | None = None
     points: int = 14
@@ -126,6 +129,8 @@ def solve(setup: Setup) -> Solution:
         write_arrays(folder / "held.txt", *setup.held)
         if setup.loaded:
             write_faces(folder / "pressure.txt", setup.bundle.triangles[np.isin(setup.bundle.tags, setup.loaded)])
+        if setup.springs:
+            write_faces(folder / "springs.txt", setup.bundle.triangles[np.isin(setup.bundle.tags, setup.sprung)])
         for array, file in ((setup.start, "start.txt"), (setup.at, "at.txt")):
             if array is not None:
                 write_arrays(folder / file, array.T)
