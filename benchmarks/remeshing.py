@@ -2,7 +2,7 @@
 
 ``python benchmarks/remeshing.py [FILE ...] [--sizes 4 2 1]``: the synthetic cavity, then each surface file, as ``lacli mesh``
 cuts and labels it. Mmg gets the edges between labels as edges of their own, with each pair of hausd (of the size) and hgrad,
-with and without (``smooth``) its own search for sharp edges, in a process of its own that has 20 s; once the cavity as it is,
+with and without (``smooth``) its own search for sharp edges, in a process of its own that has 10 s; once the cavity as it is,
 once with its label borders evened before (``evened``: an edge of a border shorter than 0.3 of the size is collapsed along the
 border). Of each of the two the setting with the best least quality is shown, and of how many that ended. ``border_mm``:
 farthest point of the new borders from the old ones; ``edges``: of the borders; ``open``: what is wrong with the closed
@@ -31,8 +31,8 @@ from lacli.geometry.surface import Surface, compact, defects
 from lacli.geometry.triangles import shape_quality
 from lacli.synthetic.atrium import synthesize
 
-HAUSD, HGRAD = (0.01, 0.05, 0.2, 0.5), (1.1, 1.3, 1.6, -1.0)  # of the size; ratio of neighbouring edges, -1 for any
-PATIENCE_S = 20.0
+HAUSD, HGRAD = (0.01, 0.05, 0.2, 0.5), (1.1, 1.3, 1.6)  # of the size; ratio of neighbouring edges
+PATIENCE_S = 10.0
 SHORT = 0.3  # of the size asked: shorter edges of a border are collapsed before Mmg
 _Caught = type("_Caught", (Exception,), {})
 
