@@ -83,10 +83,15 @@ def simulator(
     from lacli.base.files import check_folder
 
     check_folder(root, "--store")
+    return SceneSimulator(asked(scene, targets, sensitivities), root, workers, scheduler)
+
+
+def asked(scene: Scene, targets: Sequence[str], sensitivities: bool = True) -> Scene:
+    """The scene with the outputs that a calibration to these targets reads, and no others."""
     chosen: dict[str, Any] = {"fields": "none", "unloaded": False, "sensitivities": sensitivities}
     if times := times_of(targets):
         chosen["times"] = times
-    return SceneSimulator(scene.model_copy(update={"outputs": scene.outputs.model_copy(update=chosen)}), root, workers, scheduler)
+    return scene.model_copy(update={"outputs": scene.outputs.model_copy(update=chosen)})
 
 
 def times_of(names: Sequence[str]) -> tuple[float, ...]:

@@ -25,11 +25,13 @@ from lacli.calibration.sequential.descent import Incumbent
 from lacli.calibration.sequential.draw.chain import sample
 from lacli.calibration.sequential.draw.draws import LEAST_EFFECTIVE, draw
 from lacli.calibration.sequential.draw.information import Forecast, forecast
-from lacli.calibration.sequential.emulator import Components, fit
+from lacli.calibration.sequential.emulator import Components, Part
 from lacli.calibration.sequential.evidence import Evidence
+from lacli.calibration.sequential.fidelity.bridge import bridge
+from lacli.calibration.sequential.fidelity.corrected import emulate
 from lacli.calibration.sequential.laplace import Laplace
 from lacli.calibration.sequential.result import Sequential, document, result_of
-from lacli.calibration.sequential.search import Monitor, Search, Settings
+from lacli.calibration.sequential.search import Monitor, Reference, Search, Settings
 from lacli.contracts.identity import Identity, identify, write_identity
 from lacli.contracts.targets import Targets
 from lacli.inference.box import Box
@@ -40,6 +42,9 @@ FILE, RESULT = "calibration.json", "result.json"
 _MODE = 25.0  # excess of chi^2 up to which a second minimum has a share in the posterior
 _LOCAL = 12.0  # Mahalanobis distance up to which a run takes part in the local emulator
 _DESCENT_ROUNDS = 24
+_OF_REFERENCE, _LEAST_OF_REFERENCE = 2, 4  # of its runs at a time; so many before it is believed what it corrects
+_PART = 0.7  # of the error's share that one part of it may have: both together are as the root of the sum of their squares
+PARTS: tuple[Part, Part] = ("emulator", "correction")
 _AT_ONCE = 3  # runs of the check of the box between two looks
 
 
@@ -54,9 +59,11 @@ def calibrate_sequentially(
     monitor: Monitor = lambda status: None,
     notes: Sequence[str] = (),
     first: FloatArray | None = None,
+    reference: Reference | None = None,
 ) -> Sequential:
     """Calibrate against the targets; ``log`` holds the runs, which must tell derivatives; ``notes`` go into the result. first
-    (k, d): inputs to start from in place of points over the box (k >= 4), such as those of runs there are.
+    (k, d): inputs to start from in place of points over the box (k >= 4), such as those of runs there are. reference: the
+    simulations that the answer is of, where ``simulator`` is a cheap companion of theirs: few of its runs correct the others.
 
     Raises LacliError where runs tell none or too few finish, UsageError where the folder holds another calibration.
     """
@@ -65,15 +72,17 @@ def calibrate_sequentially(
     if len(targets.names) < 1:
         raise UsageError("calibrate: no targets.")
     folder.mkdir(parents=True, exist_ok=True)
-    identity = sequential_identity(box, targets, settings, log.identity)
+    identity = sequential_identity(box, targets, settings, log.identity, None if reference is None else reference.log.identity)
     if words := obstacle(folder, identity):
         raise UsageError(f"{folder} {words}. Choose another --out.")
     write_identity(folder / FILE, identity)
-    search = Search(simulator, box, targets, settings, log, monitor)
+    search = Search(simulator, box, targets, settings, log, monitor, reference)
     search.notes.extend(notes)
     evidence = _start(search, None if first is None else search.scale.to_z(first))
     evidence, components = _descend(search, evidence)
-    map_runs = len(search.x)
+    if reference is not None:
+        evidence, components = bridge(search, evidence), None
+    map_runs = len(search.x) + len(search.dear)
     known = [_best(evidence)]
     evidence, known, components, swept = _other_modes(
         search, evidence, known, components, "other starts", settings.mode_runs // 2
@@ -86,7 +95,7 @@ def calibrate_sequentially(
         known = known_after
         chain, evidence, moved, local, stopped = _refine(search, evidence, known, folder)
     answer, _ = descent.lowest(local, evidence.z[int(np.argmin(evidence.misfit))])
-    evidence = search.run(answer[None], "at the most probable point")
+    evidence = (search.run if reference is None else search.refer)(answer[None], "at the most probable point")
     result = result_of(search, evidence, known, local, components, chain, moved, swept, map_runs, stopped)
     write_json(folder / RESULT, {"identity": identity.digest, **document(result)})
     return result
@@ -113,11 +122,15 @@ def forecast_sequentially(
     return forecast(log, search.x, search.targets, search.scale)
 
 
-def sequential_identity(box: Box, targets: Targets, settings: Settings, runs: Any) -> Identity:
-    """What determines the calibration: box, targets, settings but for budgets, its runs."""
-    chosen = {k: v for k, v in asdict(settings).items() if k not in ("max_runs", "share", "mcmc")}
+def sequential_identity(box: Box, targets: Targets, settings: Settings, runs: Any, reference: Any = None) -> Identity:
+    """What determines the calibration: box, targets, settings but for budgets, its runs, and those of the reference if the runs
+    are cheap ones."""
+    chosen = {k: v for k, v in asdict(settings).items() if k not in ("max_runs", "reference_runs", "share", "mcmc")}
     sampling = {k: v for k, v in asdict(settings.mcmc).items() if k not in mcmc.STOPPING}
-    return identify("calibration", way="sequential", runs=runs, box=box, targets=targets, settings=chosen, sampling=sampling)
+    dear = {} if reference is None else {"reference": reference}
+    return identify(
+        "calibration", way="sequential", runs=runs, box=box, targets=targets, settings=chosen, sampling=sampling, **dear
+    )
 
 
 def _start(search: Search, first: FloatArray | None) -> Evidence:
@@ -180,7 +193,7 @@ def _other_modes(
     used = 0
     while True:
         search.say("emulators")
-        components = fit(evidence.z, evidence.residual, evidence.jacobian, components)
+        components = emulate(evidence, components)
         found = modes.sweep(components, known, float(evidence.misfit.min()), search.settings.seed)
         count = min(_AT_ONCE, budget - used, search.left - 1)
         where = found.candidates if len(found.candidates) or not rule_out or found.settled else found.doubtful
@@ -191,7 +204,7 @@ def _other_modes(
         if len(search.x) == before:
             return evidence, known, components, found
         used += len(search.x) - before
-        components = fit(evidence.z, evidence.residual, evidence.jacobian, components)
+        components = emulate(evidence, components)
         for z in where[:count]:
             row = descent.at(evidence, z)
             ran = np.abs(evidence.z[row] - z).max() < 1e-6 and evidence.told[row]
@@ -228,25 +241,38 @@ def _refine(
         search.say("posterior")
         known = _renewed(evidence, known)
         near = _local(search, evidence, known)
-        components = fit(near.z, near.residual, near.jacobian, components)
+        components = emulate(near, components)
         rng = np.random.default_rng([settings.seed, 2, round_])
         points, effective = draw(components, search.scale, known, settings.seed + round_)
         moved = change.expected_change(components, points, rng)
-        if moved.max() < settings.share and effective > LEAST_EFFECTIVE:
+        enough = search.reference is None or int(evidence.own.sum()) >= _LEAST_OF_REFERENCE
+        if moved.max() < settings.share and effective > LEAST_EFFECTIVE and enough:
             stopped = f"the emulator's error moves the posterior's mean by less than {settings.share:g} of its sd in every input"
             break
+        before = len(search.x) + len(search.dear)
         count = min(settings.first_runs if round_ == 1 else settings.batch, search.left - reserve)
-        if count <= 0:
+        dear = 0
+        if search.reference is not None:
+            # each part of the error by the runs that lessen it
+            of_runs, of_correction = (change.expected_change(components, points, rng, part).max() for part in PARTS)
+            dear = min(_OF_REFERENCE, search.dear_left - 1) if not enough or of_correction > _PART * settings.share else 0
+            count = count if round_ == 1 or of_runs > _PART * settings.share or dear <= 0 else 0
+        if max(count, dear) <= 0:
             stopped = f"{settings.max_runs} runs were allowed"
+            if search.reference is not None:
+                stopped += f", {settings.reference_runs} of the reference"
             worst = int(np.argmax(moved))
             search.notes.append(
                 f"the emulator's error may still move the mean of {search.box.names[worst]} by {moved[worst]:.2f} of its sd "
                 f"(asked: {settings.share:g}); more runs (--max-runs) would settle it."
             )
             break
-        before = len(search.x)
-        evidence = search.run(change.most_telling(components, points, count, rng), "where the emulator matters")
-        if len(search.x) == before:
+        if count > 0:
+            evidence = search.run(change.most_telling(components, points, count, rng), "where the emulator matters")
+        if dear > 0:
+            where = change.most_telling(components, points, dear, rng, "correction")
+            evidence = search.refer(where, "where the correction matters")
+        if len(search.x) + len(search.dear) == before:
             stopped = "no further run would tell more"
             break
     search.say("sampling")

@@ -13,8 +13,9 @@ import numpy as np
 from scipy.optimize import least_squares, lsq_linear
 
 from lacli.base.arrays import FloatArray
-from lacli.calibration.sequential.emulator import Components, fit
+from lacli.calibration.sequential.emulator import Components
 from lacli.calibration.sequential.evidence import Evidence
+from lacli.calibration.sequential.fidelity import corrected
 
 _RADIUS = 0.35  # of a trial's step, in widths of the box
 _SAME = 0.02  # two trials as near as this are one
@@ -137,4 +138,4 @@ def emulate(evidence: Evidence, earlier: Components | None) -> Components | None
     """The emulator of all runs; None where they are still too few."""
     if evidence.told.sum() < 3:
         return None
-    return fit(evidence.z, evidence.residual, evidence.jacobian, earlier)
+    return corrected.emulate(evidence, earlier)

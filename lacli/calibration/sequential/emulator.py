@@ -8,7 +8,9 @@ S_k v(z), and |c| = |r|: the likelihood needs nothing else. (Morris, Mitchell, Y
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -25,8 +27,11 @@ _LENGTHS, _NUGGETS = (0.08, 12.0), (1e-8, 1e-2)
 _JITTER = 1e-10
 _SIGNAL = 1e-3  # a component that moves less than this share of the measurement's error tells nothing of the lengths
 _MOST_MOVING = 20  # components that the lengths are learnt from
-_STILL = 1e-5  # of the measurement's variance: a component whose process varies less is its trend
+STILL = 1e-5  # of the measurement's variance: a component whose process varies less is its trend
 _ROWS = 1000  # predicted at a time
+
+# of the error: what the emulator of the runs does not know, and what the correction of cheap runs does not
+Part = Literal["emulator", "correction", "emulator and correction"]
 
 
 @dataclass(frozen=True)
@@ -141,6 +146,18 @@ class Components:
         own = value_rows(self.kind, z / self.lengths, z / self.lengths, np.empty(0, np.int64))[:, 0]
         return np.asarray(self.inflation * (own - known @ known.T + free @ free.T))
 
+    def errors(self, z: FloatArray, of: Part) -> Callable[[np.random.Generator], FloatArray]:
+        """Draws of the errors (m, p) that the mean may have at z (m, d), jointly at all points."""
+        del of  # nothing is corrected here
+        size, axes = np.linalg.eigh(self.covariance(z))
+        root, sd = axes * np.sqrt(np.maximum(size, 0.0)), np.sqrt(self.variance)
+        return lambda rng: np.asarray(root @ rng.standard_normal((len(z), len(sd))) * sd)
+
+    def part(self, of: Part) -> Components:
+        """The process whose runs lessen one part of the error, with its variance in these components."""
+        del of
+        return self
+
     def slope(self, z: FloatArray) -> FloatArray:
         """d mean / dz (p, d) at one point z (d,)."""
         rows = blocks(self.kind, z[None] / self.lengths, self.z / self.lengths, self.rows.every)[1:, 0]
@@ -160,9 +177,12 @@ class Components:
     def reduced(self) -> Components:
         """The same misfit from fewer components: those that are their trend alone, turned among themselves, are 1 + d at most.
 
-        |c| is kept to ``_STILL``; rotation is that of the components which still vary, and of no use for the rest.
+        |c| is kept to ``STILL``; rotation is that of the components which still vary, and of no use for the rest.
         """
-        lively = self.variance > _STILL
+        return self._of(self.variance > STILL)
+
+    def _of(self, lively: BoolArray) -> Components:
+        """Those components, and the others turned among themselves."""
         still = np.asarray(np.linalg.qr(self.trend[:, ~lively].T, mode="r")).T  # (1 + d, k): |t' trend| = |t' R'|
         none = np.zeros((len(self.weights), still.shape[1]))
         return replace(

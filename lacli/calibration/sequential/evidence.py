@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from lacli.base.arrays import BoolArray, FloatArray
+from lacli.base.arrays import BoolArray, FloatArray, IntArray
 from lacli.base.errors import LacliError
 from lacli.calibration.sequential.scale import Scale
 from lacli.contracts.priors import check_priors
@@ -15,12 +16,15 @@ from lacli.contracts.targets import Targets
 from lacli.inference.box import Box, make_box
 from lacli.inference.runs import STATUS, RunLog
 
+if TYPE_CHECKING:
+    from lacli.calibration.sequential.fidelity.correction import Correction
+
 
 @dataclass(frozen=True)
 class Evidence:
     """Finished runs: x, z (n, d) their inputs; residual (n, p + q) = L^-1 (f - target), L L' the targets' covariance, followed by
     those of q priors; jacobian (n, p + q, d) = d residual / dz, NaN where a run tells no derivatives; failed (k, d): z of runs
-    that failed; targets: p."""
+    that failed; targets: p. Of cheap runs that were corrected: by what, and which are the reference's own (n,)."""
 
     x: FloatArray
     z: FloatArray
@@ -28,6 +32,8 @@ class Evidence:
     jacobian: FloatArray
     failed: FloatArray
     targets: int
+    correction: Correction | None = None
+    dear: BoolArray | None = None
 
     @property
     def chi2(self) -> FloatArray:
@@ -44,9 +50,17 @@ class Evidence:
         """chi^2 (n,) of each run: its squared residual, summed; -2 log posterior, up to a constant."""
         return np.asarray((self.residual**2).sum(1))
 
-    def take(self, rows: FloatArray | list[int] | BoolArray) -> Evidence:
+    @property
+    def own(self) -> BoolArray:
+        """Which runs are the reference's own (n,), told by no correction."""
+        return np.ones(len(self.z), bool) if self.dear is None else self.dear
+
+    def take(self, rows: IntArray | list[int] | BoolArray) -> Evidence:
         """Some of the runs."""
-        return Evidence(self.x[rows], self.z[rows], self.residual[rows], self.jacobian[rows], self.failed, self.targets)
+        return replace(
+            self, x=self.x[rows], z=self.z[rows], residual=self.residual[rows], jacobian=self.jacobian[rows],
+            dear=None if self.dear is None else self.dear[rows],
+        )  # fmt: skip
 
 
 def factor(targets: Targets) -> FloatArray:

@@ -82,7 +82,7 @@ def sweep(components: Components, known: list[Laplace], best: float, seed: int) 
         if end is None or any(np.abs(end - other).max() < _APART for _, other in found):
             continue
         mean, slope = components.mean(end[None])[0], components.slope(end)
-        spread = 1.0 + _DOUBLED * float(components.share(end[None])[0]) * components.variance
+        spread = 1.0 + _DOUBLED * components.predict(end[None])[1][0]
         there = Laplace.at(end, mean / np.sqrt(spread), slope / np.sqrt(spread)[:, None])
         found.append((float(_judged(components, end[None])[1][0]) + there.log_volume, end))
     found.sort(key=lambda valley: -valley[0])

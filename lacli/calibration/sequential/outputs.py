@@ -12,12 +12,16 @@ from lacli.base.arrays import FloatArray
 from lacli.base.errors import InputError
 from lacli.base.threads import single_threaded
 from lacli.calibration.sequential import branches
-from lacli.calibration.sequential.emulator import Components, fit
-from lacli.calibration.sequential.evidence import factor, gather
+from lacli.calibration.sequential.emulator import Components
+from lacli.calibration.sequential.evidence import Evidence, factor, gather
+from lacli.calibration.sequential.fidelity.corrected import emulate
+from lacli.calibration.sequential.fidelity.correction import corrected, fit_correction
 from lacli.calibration.sequential.scale import Scale
 from lacli.contracts.targets import Targets
 from lacli.inference.box import Box
 from lacli.inference.runs import RunLog
+
+LOG, CHEAP = "runs.csv", "runs_cheap.csv"  # the second is there where runs of the first correct cheap ones
 
 
 @dataclass(frozen=True)
@@ -55,12 +59,25 @@ class Features:
 
 @single_threaded
 def features_of(file: Path, box: Box, targets: Targets) -> Features:
-    """The emulator of all runs in a calibration's ``runs.csv``. Raises InputError where none tells derivatives."""
+    """The emulator of all runs in a calibration's ``runs.csv``, which correct those of ``runs_cheap.csv`` where there are any.
+
+    Raises InputError where none tells derivatives.
+    """
     log = RunLog(file, box.names, targets.names, None)
     scale = Scale.of(box)
     plain = replace(targets, priors=None)
-    evidence = gather(log, np.array(list(log.rows)), plain, scale)
+    evidence = _told(log, plain, scale)
     if not evidence.told.any():
         raise InputError(f"{file}: no run in it tells derivatives; calibrate again.")
-    evidence = evidence.take(~branches.look(evidence, plain).strays)
-    return Features(fit(evidence.z, evidence.residual, evidence.jacobian), scale, plain, targets.names)
+    if (beside := file.with_name(CHEAP)).is_file():
+        cheap = _told(RunLog(beside, box.names, targets.names, None), plain, scale)
+        if (correction := fit_correction(cheap, evidence)) is None:
+            raise InputError(f"{file}: too few runs that tell derivatives are in {CHEAP} too; calibrate again.")
+        evidence = corrected(cheap, evidence, correction)
+    return Features(emulate(evidence), scale, plain, targets.names)
+
+
+def _told(log: RunLog, targets: Targets, scale: Scale) -> Evidence:
+    """All runs of a log but for those on another branch."""
+    evidence = gather(log, np.array(list(log.rows)), targets, scale)
+    return evidence.take(~branches.look(evidence, targets).strays)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from lacli.base.arrays import FloatArray
 from lacli.calibration.sequential import modes
 from lacli.calibration.sequential.draw.information import by_group
 from lacli.calibration.sequential.emulator import Components
-from lacli.calibration.sequential.evidence import Evidence
+from lacli.calibration.sequential.evidence import Evidence, factor
 from lacli.calibration.sequential.laplace import Laplace
 from lacli.calibration.sequential.outputs import Features
 from lacli.calibration.sequential.search import Search
@@ -19,6 +19,28 @@ from lacli.calibration.sequential.verdict import unlearned, verdict
 from lacli.contracts.targets import Targets
 from lacli.inference.box import Box
 from lacli.inference.sampling import posterior as mcmc
+
+
+@dataclass(frozen=True)
+class Correcting:
+    """runs of the reference, CPU seconds of them and of the cheap ones; rho; by target: what is added to the cheap features at
+    the most probable point, in standard deviations of the target's error, and how surely."""
+
+    runs: int
+    cpu_s: float
+    cheap_cpu_s: float
+    rho: float
+    added_sd: dict[str, float]
+    error_sd: dict[str, float]
+
+    def words(self) -> str:
+        """What a user must know of it."""
+        name = max(self.added_sd, key=lambda key: abs(self.added_sd[key]))
+        return (
+            f"{self.runs} runs of the scene's own numerics correct the cheap ones: at the most probable point by up to "
+            f"{abs(self.added_sd[name]):.1f} standard deviations of a target's error ({name}), which the correction tells within "
+            f"{max(self.error_sd.values()):.2f}."
+        )
 
 
 @dataclass(frozen=True)
@@ -51,11 +73,12 @@ class Sequential:
     left_out: tuple[str, ...]
     rmse_mm: float | None
     information: list[dict[str, float | str]]
+    fidelity: Correcting | None = None
 
     @property
     def runs(self) -> int:
         """All runs asked for."""
-        return len(self.x)
+        return len(self.x) + (self.fidelity.runs if self.fidelity else 0)
 
 
 def result_of(
@@ -72,10 +95,11 @@ def result_of(
 ) -> Sequential:
     """The result, with its verdict and notes."""
     box, targets = search.box, search.targets
-    row = int(np.argmin(evidence.misfit))  # the run at the answer, but for the emulator's error there
+    # the run at the answer, but for the emulator's error there
+    row = int(np.argmin(np.where(evidence.own, evidence.misfit, np.inf)))
     misfit, map_x = float(evidence.chi2[row]), evidence.x[row]
-    told = int(np.argmin(np.where(evidence.told, evidence.misfit, np.inf)))
-    frame = search.log.frame(evidence.x[row][None])
+    told = int(np.argmin(np.where(evidence.told & evidence.own, evidence.misfit, np.inf)))
+    frame = search.told.frame(evidence.x[row][None])
     nearest = frame[list(targets.names)].to_numpy(float)[0]
     mean, variance = Features(local, search.scale, targets, targets.names).predict(map_x[None])
     fitted: list[dict[str, float | str]] = [
@@ -92,6 +116,9 @@ def result_of(
     freedom = max(1, len(targets.names) - box.d)
     refused = verdict(evidence, whole, targets, misfit, freedom)
     notes = list(dict.fromkeys(search.notes))
+    fidelity = _correcting(search, evidence, map_x)
+    if fidelity is not None:
+        notes.append(fidelity.words())
     notes.append(swept.words())
     table = mcmc.summary(chain, map_x, box, targets.priors)
     notes += unlearned(table)
@@ -116,8 +143,25 @@ def result_of(
         box, targets, map_x, misfit, map_runs, dict(search.stages), len(evidence.failed), table,
         moved,
         search.scale.to_x(np.array([mode.centre for mode in known])), swept, chain, fitted, local.held_out, stopped, refused,
-        tuple(notes), search.x, float(used["cpu_s"].sum()), search.left_out, rmse,
-        by_group(search.log, evidence.x[told], targets, search.scale),
+        tuple(notes), search.x, float(used["cpu_s"].sum()) + (fidelity.cpu_s if fidelity else 0.0), search.left_out, rmse,
+        by_group(search.told, evidence.x[told], targets, search.scale), fidelity,
+    )  # fmt: skip
+
+
+def _correcting(search: Search, evidence: Evidence, x: FloatArray) -> Correcting | None:
+    """What the correction does at x (d,)."""
+    if (correction := evidence.correction) is None:
+        return None
+    names = search.targets.names
+    own = factor(search.targets) / search.targets.sd[:, None]  # decorrelated -> each target in its own standard deviations
+    z = search.scale.to_z(x[None])
+    pair = [log.frame(x[None])[list(names)].to_numpy(float)[0] for log in (search.log, search.told)]
+    error = np.sqrt(correction.delta.predict(z)[1] @ ((own @ correction.delta.rotation) ** 2).T)[0]
+    added = (pair[1] - pair[0]) / search.targets.sd
+    cpu = [float(log.frame(at)["cpu_s"].sum()) for log, at in ((search.told, search.dear), (search.log, search.x))]
+    return Correcting(
+        len(search.dear), cpu[0], cpu[1], correction.rho, dict(zip(names, added.tolist(), strict=True)),
+        dict(zip(names, error.tolist(), strict=True)),
     )  # fmt: skip
 
 
@@ -135,6 +179,7 @@ def document(result: Sequential) -> dict[str, Any]:
         "probability_elsewhere": result.sweep.elsewhere, "box_not_ruled_out": result.sweep.open_,
         "converged": result.chain.converged,
         "samples": len(result.chain.flat()), "acceptance": result.chain.acceptance, "fit": result.fit,
+        "fidelity": asdict(result.fidelity) if result.fidelity else None,
         "rmse_mm": result.rmse_mm, "held_out": result.held_out,
         "verdict": {"plausible": not result.refused, "warnings": [*filter(None, [result.refused]), *result.notes]},
     }  # fmt: skip

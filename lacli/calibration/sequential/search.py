@@ -10,10 +10,11 @@ import numpy as np
 from lacli.base.arrays import FloatArray
 from lacli.calibration.sequential import branches
 from lacli.calibration.sequential.evidence import Evidence, gather, narrowed
+from lacli.calibration.sequential.fidelity.correction import Correction, corrected, fit_correction, pairs
 from lacli.calibration.sequential.scale import Scale
 from lacli.contracts.targets import Targets
 from lacli.inference.box import Box
-from lacli.inference.runs import RunLog, Simulator
+from lacli.inference.runs import STATUS, RunLog, Simulator
 from lacli.inference.sampling import posterior as mcmc
 
 
@@ -23,7 +24,8 @@ class Settings:
 
     starts of the search (>= 4); first_runs around the most probable point, drawn from a Gaussian ``widening`` times as wide
     as the posterior's, then ``batch`` at a time; end when the emulator's error moves the posterior's mean by less than
-    ``share`` of its sd in every input, or at max_runs. mode_runs: at most so many to rule out other modes.
+    ``share`` of its sd in every input, or at max_runs. mode_runs: at most so many to rule out other modes. reference_runs: at
+    most so many of the reference, where the others are cheap.
     """
 
     starts: int = 4
@@ -33,6 +35,7 @@ class Settings:
     share: float = 0.1
     mode_runs: int = 12
     max_runs: int = 60
+    reference_runs: int = 12
     seed: int = 0
     mcmc: mcmc.Settings = field(default_factory=mcmc.Settings)
 
@@ -50,11 +53,27 @@ class Status:
 Monitor = Callable[[Status], None]
 
 
+@dataclass(frozen=True)
+class Reference:
+    """The simulations that the answer is of, where the others are cheap ones; their log."""
+
+    simulator: Simulator
+    log: RunLog
+
+
 class Search:
-    """The runs so far, with what asks for more. targets: those that runs can tell; notes: what a user must know."""
+    """The runs so far, with what asks for more. targets: those that runs can tell; notes: what a user must know; reference: the
+    dear simulations that correct the others, run at ``dear`` (k, d)."""
 
     def __init__(
-        self, simulator: Simulator, box: Box, targets: Targets, settings: Settings, log: RunLog, monitor: Monitor
+        self,
+        simulator: Simulator,
+        box: Box,
+        targets: Targets,
+        settings: Settings,
+        log: RunLog,
+        monitor: Monitor,
+        reference: Reference | None = None,
     ) -> None:
         self.simulator, self.box, self.given, self.settings = simulator, narrowed(box, targets), targets, settings
         self.targets = targets
@@ -64,34 +83,77 @@ class Search:
         self.stages: dict[str, int] = {}
         self.notes: list[str] = []
         self.strays = 0
+        self.reference, self.dear = reference, np.empty((0, box.d))
+        self._correction: tuple[object, Correction | None] = (None, None)
 
     def run(self, z: FloatArray, stage: str) -> Evidence:
         """Run the points z (k, d) that the budget allows; the evidence of all runs."""
+        self._make(self._inside(z)[: max(0, self.left)], stage)
+        return self.evidence()
+
+    def refer(self, z: FloatArray, stage: str) -> Evidence:
+        """Run the points z (k, d) that the budgets allow with both fidelities; the evidence of all runs, corrected."""
+        assert self.reference is not None, "there is one fidelity"
+        x = self._inside(z)[: max(0, min(self.dear_left, self.left))]
+        self._make(x, stage)
+        x = np.array([row for row in x if self.log.rows[tuple(row.tolist())][STATUS] == "done"]).reshape(-1, self.box.d)
+        if len(x):
+            of, before = f"{stage}: reference", len(self.dear)
+            tell = self.monitor
+            self.reference.log.run(self.reference.simulator, x, lambda done, total: tell(Status(of, done, total, len(self.x))))
+            self.dear = _joined(self.dear, x)
+            self.stages[of] = self.stages.get(of, 0) + len(self.dear) - before
+        return self.evidence()
+
+    def _inside(self, z: FloatArray) -> FloatArray:
         x = self.scale.to_x(z)
-        x = x[self.box.contains(x)][: max(0, self.settings.max_runs - len(self.x))]
+        return x[self.box.contains(x)]
+
+    def _make(self, x: FloatArray, stage: str) -> None:
+        """Have the cheap runs at x (k, d) in the log."""
         if len(x):
             before = len(self.x)
             self.log.run(self.simulator, x, lambda done, total: self.monitor(Status(stage, done, total, before + done)))
             self.x = _joined(self.x, x)
             self.stages[stage] = self.stages.get(stage, 0) + len(self.x) - before
-        return self.evidence()
 
     def evidence(self) -> Evidence:
         """Of all runs so far but for those on another branch; targets of frames that have several are left out from now on."""
         while True:
             found = gather(self.log, self.x, self.targets, self.scale)
+            dear = gather(self.reference.log, self.dear, self.targets, self.scale) if self.reference and len(self.dear) else None
             if not len(found.z):
                 return found
-            seen = branches.look(found, self.targets)
-            if not seen.times:
-                self.strays = int(seen.strays.sum())
-                return found.take(~seen.strays)
-            self.targets = branches.without(self.targets, seen.times)
+            looked = [branches.look(runs, self.targets) for runs in (found, dear) if runs is not None and len(runs.z)]
+            times = tuple(time for seen in looked for time in seen.times)
+            if not times:
+                break
+            self.targets = branches.without(self.targets, times)
+        self.strays = sum(int(seen.strays.sum()) for seen in looked)
+        found = found.take(~looked[0].strays)
+        if dear is None or not len(dear.z):
+            return found
+        dear = dear.take(~looked[1].strays)
+        known = (self.targets.names, found.x[pairs(found, dear)[:, 0]].tobytes())
+        if self._correction[0] != known:
+            self._correction = known, fit_correction(found, dear)
+        correction = self._correction[1]
+        return found if correction is None else corrected(found, dear, correction)
 
     @property
     def left(self) -> int:
         """Runs that the budget still allows."""
         return self.settings.max_runs - len(self.x)
+
+    @property
+    def dear_left(self) -> int:
+        """Runs of the reference that its budget still allows; 0 where there is none."""
+        return self.settings.reference_runs - len(self.dear) if self.reference else 0
+
+    @property
+    def told(self) -> RunLog:
+        """The log of the runs that the answer is of."""
+        return self.log if self.reference is None else self.reference.log
 
     @property
     def left_out(self) -> tuple[str, ...]:

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lacli.base.errors import LacliError, UsageError
-from lacli.cli.terminal.console import err, one_bar, out, print_json, print_table
+from lacli.cli.inference.sought import seek_and_show, show_forecast, show_prices, time_of
+from lacli.cli.terminal.console import err, out, print_json, print_table
 from lacli.cli.terminal.scenes import read_scene
 from lacli.cli.terminal.tables import BoxFile, Fresh, Json, Retry, Seed
 
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
     from lacli.api.calibration import Calibrated, Recovered
     from lacli.api.progress import Progress
     from lacli.calibration.calibration import Calibration, WaveReport
-    from lacli.contracts.scene import Scene
-    from lacli.contracts.targets import Targets
     from lacli.inference.box import Box
 
 
@@ -80,6 +79,19 @@ def command(
     forecast: Annotated[
         bool, typer.Option("--forecast", help="sequential: only its first runs, and what these targets can teach of each input.")
     ] = False,
+    cheap: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--cheap",
+            metavar="KEY=VALUE",
+            help="sequential: most runs with these numerics (order=1, anatomy.bundle=...), corrected "
+            "by about ten of the scene's own; may be repeated.",
+        ),
+    ] = None,
+    reference_runs: Annotated[
+        int | None, typer.Option("--reference-runs", min=4, help="With --cheap: runs of the scene's own numerics at most (12).")
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="sequential: what it costs at most, without a run.")] = False,
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
     seed: Seed = 0,
     as_json: Json = False,
@@ -120,17 +132,24 @@ def command(
         if of_waves:
             raise UsageError(f"--method sequential makes no waves: {', '.join(of_waves)} is of the published method.")
         space = read_box(box_file) if box_file else published_box()
+        if reference_runs and not cheap:
+            raise UsageError("--reference-runs goes with --cheap.")
+        budgets = {"max_runs": max_runs or Sought.max_runs, "reference_runs": reference_runs or Sought.reference_runs}
         options: dict[str, Any] = {
-            "box": space, "settings": Sought(max_runs=max_runs or Sought.max_runs, seed=seed, mcmc=Sampling(ess=ess)),
+            "box": space, "settings": Sought(**budgets, seed=seed, mcmc=Sampling(ess=ess)), "cheap": cheap or (),
             "store": root, "workers": workers, "scheduler": scheduler, "fresh": fresh, "retry": retry,
             "discretisation": discretisation,
         }  # fmt: skip
         patient, wanted = read_scene(scene_file, overrides, space), read_targets(targets_file)
-        if forecast:
-            _foresee(patient, wanted, folder, as_json, **options)
+        if dry_run:
+            show_prices(patient, wanted, folder, as_json, **{key: options[key] for key in ("settings", "store", "cheap")})
+        elif forecast:
+            show_forecast(patient, wanted, folder, as_json, **options)
         else:
-            _seek(patient, wanted, folder, as_json, figures=figures, **options)
+            seek_and_show(patient, wanted, folder, as_json, figures=figures, **options)
         return
+    if alone := next((o for o, v in (("--cheap", cheap), ("--reference-runs", reference_runs), ("--dry-run", dry_run)) if v), ""):
+        raise UsageError(f"{alone}: of the sequential method, which needs a SCENE whose runs tell derivatives, and --targets.")
     if forecast:
         raise UsageError("--forecast: of the sequential method, which needs a SCENE whose runs tell derivatives, and --targets.")
     settings = Settings(
@@ -177,80 +196,6 @@ def _default_method(scene_file: Path, overrides: list[str] | None) -> str:
     return "sequential"
 
 
-def _foresee(scene: Scene, targets: Targets, folder: Path, as_json: bool, **options: Any) -> None:
-    from lacli.api.sequential import foresee
-    from lacli.inference.sampling.posterior import learnt
-
-    with _told() as show:
-        found = foresee(scene, targets, folder, progress=show, **options)
-    rows = found.rows()
-    if as_json:
-        print_json({"runs": found.runs, "targets": len(targets.names), "inputs": rows})
-        return
-    print_table(
-        f"What {len(targets.names)} targets can teach, by the derivatives of {found.runs} runs over the box",
-        ["input", "prior's sd", "expected sd", "least", "most", "sd below prior's"],
-        [[r["input"], r["prior_sd"], r["expected_sd"], r["least_sd"], r["most_sd"], learnt(r)] for r in rows],
-    )
-    out.print("The calibration begins with these runs. sds are of a linear model: a bent posterior is wider.", soft_wrap=True)
-
-
-def _seek(scene: Scene, targets: Targets, folder: Path, as_json: bool, **options: Any) -> None:
-    from lacli.api.sequential import seek
-    from lacli.calibration.sequential.result import document
-    from lacli.inference.sampling.posterior import learnt
-
-    begin = time.monotonic()
-    with _told() as show:
-        found = seek(scene, targets, folder, progress=show, **options)
-    result, wall_s = found.result, time.monotonic() - begin
-    for note in result.notes:
-        err.print(f"note: {note}", highlight=False, soft_wrap=True)
-    if as_json:
-        print_json({**document(result), "wall_s": wall_s, "pictures": [str(p) for p in found.pictures]})
-    else:
-        print_table(
-            f"Posterior (ESS {result.chain.ess.min():.0f}, R-hat {result.chain.rhat.max():.3f}"
-            + (")" if result.chain.converged else ", not converged)"),
-            ["input", "best", "mean", "sd", "2.5 %", "97.5 %", "sd below prior's"],
-            [[r["input"], r["map"], r["mean"], r["sd"], r["low95"], r["high95"], learnt(r)] for r in result.table],
-        )
-        print_table(
-            "What the targets told",
-            ["group", "targets", "nats alone", "nats lost without it"],
-            [[g["group"], g["targets"], g["alone_nats"], g["lost_without_nats"]] for g in result.information],
-        )
-        print_table("Runs", ["stage", "runs"], [[name, count] for name, count in result.stages.items()])
-        out.print(
-            f"chi^2 {result.misfit:.1f} for {len(targets.names)} targets; {result.runs} runs ({result.failed} failed), "
-            f"{result.map_runs} until the most probable point. Stopped because {result.stopped}; it may still move a mean by "
-            f"{result.change.max():.2f} sd. {_time(wall_s)}. "
-            f"Everything is in {found.folder}",
-            highlight=False,
-            soft_wrap=True,
-        )
-    if result.refused:
-        raise LacliError(result.refused)
-
-
-@contextmanager
-def _told() -> Iterator[Callable[[Progress], None]]:
-    """A bar on a terminal; elsewhere (a log of SLURM's) a line for each stage with the seconds since the start."""
-    if err.is_terminal:
-        with one_bar("calibration") as bar:
-            yield bar
-        return
-    begin, last = time.monotonic(), ""
-
-    def show(event: Progress) -> None:
-        nonlocal last
-        if event.stage != last:
-            last = event.stage
-            err.print(f"{time.monotonic() - begin:6.0f} s  {event.stage}", highlight=False, soft_wrap=True)
-
-    yield show
-
-
 def _truth(pairs: list[str] | None, box: Box) -> dict[str, float]:
     known = {}
     for text in pairs or []:
@@ -287,7 +232,7 @@ def _dashboard() -> Iterator[Callable[[Progress], None]]:
                 change,
                 f"{min(w.r2.values()):.4f}",
             )
-        left = f", {_time(event.left_s)} left" if event.left_s and event.total > event.done else ""
+        left = f", {time_of(event.left_s)} left" if event.left_s and event.total > event.done else ""
         table.caption = f"{event.stage} {event.done:.0f}/{event.total:.0f}{left}"
         return table
 
@@ -303,12 +248,6 @@ def _dashboard() -> Iterator[Callable[[Progress], None]]:
         yield show
 
 
-def _time(seconds: float) -> str:
-    minutes, s = divmod(int(seconds), 60)
-    hours, m = divmod(minutes, 60)
-    return f"{hours} h {m:02d} min" if hours else f"{m} min {s:02d} s"
-
-
 def _finish(found: Calibrated, as_json: bool, wall_s: float) -> None:
     from lacli.calibration.calibration import document
 
@@ -320,7 +259,7 @@ def _finish(found: Calibrated, as_json: bool, wall_s: float) -> None:
     else:
         _show(result)
         out.print(
-            f"Stopped because {result.stopped}; {_time(wall_s)}. Everything is in {found.folder}",
+            f"Stopped because {result.stopped}; {time_of(wall_s)}. Everything is in {found.folder}",
             highlight=False,
             soft_wrap=True,
         )
@@ -372,4 +311,4 @@ def _show_recovery(found: Recovered, as_json: bool, wall_s: float) -> None:
                 for q in r.rows
             ],
         )
-    out.print(f"{_time(wall_s)}. Everything is in {found.folder}", highlight=False, soft_wrap=True)
+    out.print(f"{time_of(wall_s)}. Everything is in {found.folder}", highlight=False, soft_wrap=True)

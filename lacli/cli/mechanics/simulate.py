@@ -10,16 +10,15 @@ from rich.table import Table
 from rich.text import Text
 
 from lacli.api import mechanics
-from lacli.base.errors import LacliError, SimulationError, UsageError
+from lacli.base.errors import SimulationError, UsageError
 from lacli.cli.terminal.console import err, fail, out, print_json, print_table
 from lacli.cli.terminal.scenes import read_scene
 from lacli.contracts.identity import Identity, file_digest, identify, run_key
 from lacli.contracts.scene import Scene
-from lacli.mechanics.store import find_run, list_runs
+from lacli.mechanics.store import find_run
 
 _UNITS = {"_ml": "mL", "_mm": "mm", "_s": "s", "_mb": "MB", "_mmhg": "mmHg", "_kpa": "kPa"}
 
-_PRICED = 100  # finished runs that are looked at for what a run costs
 _DRAWN = "figures.json"  # beside the pictures: what they were drawn from
 
 
@@ -208,11 +207,12 @@ def _label(name: str) -> tuple[str, str]:
 def _show_plan(scene: Scene, root: Path, as_json: bool) -> None:
     from lacli.contracts import bundle as bundles
     from lacli.mechanics.numerics import cost
+    from lacli.mechanics.numerics.earlier import earlier
     from lacli.mechanics.plan import describe
 
     bundle = bundles.load(scene.anatomy.bundle)
     terms = [(term, included, why) for term, included, why in describe(scene, bundle)]
-    price = cost.expected(scene, bundle, _earlier(root))
+    price = cost.expected(scene, bundle, earlier(root))
     key = run_key(scene)
     known = find_run(root, key)
     if as_json:
@@ -236,22 +236,6 @@ def _show_plan(scene: Scene, root: Path, as_json: bool) -> None:
     out.print(f"Expected cost: {_price(price)}.", highlight=False, soft_wrap=True)
     if known:
         out.print(f"This scene was run before ({known.status}): {known.folder}", highlight=False, soft_wrap=True)
-
-
-def _earlier(root: Path) -> list[Any]:
-    """The latest finished runs of a folder, for what they cost."""
-    from lacli.contracts.scene import load_scene
-    from lacli.mechanics.numerics.cost import Earlier
-
-    done = [run for run in list_runs(root) if run.status == "done"]
-    latest = sorted(done, key=lambda run: str(run.manifest.get("finished")))[-_PRICED:]
-    found = []
-    for run in latest:
-        try:
-            found.append(Earlier(load_scene(run.folder / "scene.toml"), run.features()))
-        except LacliError:
-            continue  # of an earlier version, or damaged: no price is worth a failure
-    return found
 
 
 def _price(price: Any) -> str:

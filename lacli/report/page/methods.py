@@ -69,4 +69,11 @@ def _sequential(result: Mapping[str, Any]) -> tuple[str, list[str]]:
         f" ({SHORT['ForemanMackey2013']}; {result['samples']} samples kept). Other modes hold less than"
         f" {max(float(result['probability_elsewhere']), 1e-4):.1g} of its probability, by the emulator over the whole box."
     )
-    return text, ["Marquardt1963", "Morris1993", "ForemanMackey2013"]
+    references = ["Marquardt1963", "Morris1993", "ForemanMackey2013"]
+    if fidelity := result.get("fidelity"):
+        text += (
+            f" Of the runs {fidelity['runs']} had the numerics above; the others had cheaper ones and were corrected by these,"
+            f" as an autoregressive Gaussian process ({SHORT['Kennedy2000']})."
+        )
+        references.append("Kennedy2000")
+    return text, references

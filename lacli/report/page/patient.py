@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lacli.base.documents import read_json
 from lacli.base.errors import AnatomyError, InputError
@@ -16,6 +16,9 @@ from lacli.contracts.parameters import QUANTITIES
 from lacli.report.page import methods
 from lacli.report.page.document import Page, Section, Table, number
 from lacli.report.page.run import Run, Thickness, closing, kept_pictures, read_run, shape_section, transients_section
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 RESULT = "result.json"
 _SAME = 0.01  # a parameter is the most probable one within this share
@@ -152,14 +155,22 @@ def _diagnostics(folder: Path, result: Mapping[str, Any]) -> Section:
 
 
 def _costs(folder: Path, result: Mapping[str, Any]) -> Section:
-    import pandas as pd
-
+    from lacli.calibration.sequential.outputs import CHEAP, LOG
     from lacli.contracts.tables.file import read_frame
 
-    file = folder / "runs.csv"
-    if not file.is_file():
+    tables = []
+    for name, text in ((LOG, "Runs"), (CHEAP, "Cheap runs, corrected by the others")):
+        if (folder / name).is_file():
+            tables.append(Table(text, ("what", "value"), _of_runs(read_frame(folder / name))))
+    if not tables:
         return Section("costs", "Costs", text=("The runs were made elsewhere: their cost is not known here.",))
-    frame = read_frame(file)
+    return Section("costs", "Costs", tables=tuple(tables))
+
+
+def _of_runs(frame: pd.DataFrame) -> tuple[tuple[str, str], ...]:
+    """Number, failures and CPU time of a table of runs."""
+    import pandas as pd
+
     rows = [("runs", str(len(frame)))]
     if "status" in frame:
         rows.append(("failed", str(int((frame["status"].astype(str) != "done").sum()))))
@@ -167,4 +178,4 @@ def _costs(folder: Path, result: Mapping[str, Any]) -> Section:
         seconds = pd.to_numeric(frame["cpu_s"], errors="coerce")
         rows.append(("CPU time of all runs, h", number(float(seconds.sum()) / 3600, 3)))
         rows.append(("CPU time of a run, s, median", number(float(seconds.median()), 3)))
-    return Section("costs", "Costs", tables=(Table("Runs", ("what", "value"), tuple(rows)),))
+    return tuple(rows)

@@ -42,6 +42,11 @@ _ENTRIES = {
         "Marquardt, D. W.", "An algorithm for least-squares estimation of nonlinear parameters",
         "Journal of the Society for Industrial and Applied Mathematics", 1963, "431--441", "10.1137/0111030",
     ),
+    "Kennedy2000": (
+        "Kennedy, M. C. and O'Hagan, A.",
+        "Predicting the output from a complex computer code when fast approximations are available", "Biometrika", 2000,
+        "1--13", "10.1093/biomet/87.1.1",
+    ),
     "Morris1993": (
         "Morris, M. D. and Mitchell, T. J. and Ylvisaker, D.",
         "Bayesian design and analysis of computer experiments: use of derivatives in surface prediction", "Technometrics", 1993,
@@ -56,6 +61,7 @@ SHORT = {
     "Vernon2010": "Vernon et al. 2010",
     "ForemanMackey2013": "Foreman-Mackey et al. 2013",
     "Marquardt1963": "Marquardt 1963",
+    "Kennedy2000": "Kennedy and O'Hagan 2000",
     "Morris1993": "Morris et al. 1993",
     "lacli": "lacli",
 }

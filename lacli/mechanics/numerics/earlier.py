@@ -1,0 +1,24 @@
+"""The finished runs of a folder, for what they cost."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from lacli.base.errors import LacliError
+from lacli.contracts.scene import load_scene
+from lacli.mechanics.numerics.cost import Earlier
+from lacli.mechanics.store import list_runs
+
+_PRICED = 100  # finished runs that are looked at for what a run costs
+
+
+def earlier(root: Path) -> list[Earlier]:
+    """The latest finished runs of a folder."""
+    done = [run for run in list_runs(root) if run.status == "done"]
+    found = []
+    for run in sorted(done, key=lambda run: str(run.manifest.get("finished")))[-_PRICED:]:
+        try:
+            found.append(Earlier(load_scene(run.folder / "scene.toml"), run.features()))
+        except LacliError:
+            continue  # of an earlier version, or damaged: no price is worth a failure
+    return found
