@@ -31,7 +31,7 @@ def call(tmp_path: Path, *words: str) -> subprocess.CompletedProcess[str]:
     (programs / "lacli").write_text(f'#!/bin/bash\nexec "{sys.executable}" -m lacli "$@"\n')
     (programs / "lacli").chmod(0o755)
     settings = tmp_path / "settings.toml"
-    settings.write_text("[calibrate]\nmax-runs = 16\ness = 200\nfigures = false\n[compare]\nparticles = 150\n")
+    settings.write_text("[calibrate]\nmax-runs = 24\ness = 200\nfigures = false\n[compare]\nparticles = 150\n")
     paths = os.pathsep.join(p for p in (str(ROOT), os.environ.get("PYTHONPATH", "")) if p)
     environment = {**os.environ, "PYTHONPATH": paths, "CELL_MM": "10", "SETTINGS": str(settings)}
     return subprocess.run(
@@ -48,7 +48,11 @@ def test_the_study_ends_with_a_report_and_goes_on(tmp_path: Path) -> None:
     study = tmp_path / "results" / "heterogeneous" / "study"
     assert list(pd.read_csv(study / "patients.csv")["status"]) == ["done", "done"]
     text = page.read_text()
-    assert text.count("data:image/png;base64,") >= 2 and "sub-02" in text
+    assert text.count("data:image/png;base64,") >= 3 and "sub-02" in text
+    # what the participants' table gives, and what the bundle's cavity has: the same atrium
+    anatomies = pd.read_csv(study / "anatomies.csv")
+    assert anatomies["ed_volume_ml_measured"].tolist() == pytest.approx(anatomies["ed_volume_ml_given"].tolist(), abs=0.06)
+    assert all((study.parent / "report_figures" / f"gallery.{suffix}").is_file() for suffix in ("png", "pdf", "svg"))
     made = {file: file.stat().st_mtime_ns for file in study.glob("*/calibration/result.json")}
     again = call(tmp_path, str(tmp_path / "results"), "2")
     assert again.returncode == told.returncode, again.stderr[-2000:]
