@@ -163,6 +163,8 @@ def client(home: Path, address: str) -> int:
     from lacli.base.errors import LacliError
     from lacli.base.processes import signals
 
+    # a shell that starts this benchmark in the background lets it ignore Ctrl-C, and what ignores it goes on ignoring it
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         signals.catch()
         found = study(home, address)
