@@ -4,9 +4,9 @@
 
 Three patients on two workers; their steps are stand-ins (`lacli --version`, and a small `lacli synthesize` whose product is the
 same each time). In turn a worker, its nanny, the scheduler and the client (SIGKILL, SIGINT, SIGTERM) are shot, 0 to 8 s after the
-first step began. Asked: no step of lacli runs 10 s after scheduler or client are gone; the study, asked for again (with a new
-scheduler where that was shot), ends with every step of every patient done; a step that was done before is not done again; the
-products are those of a study that nobody shot at. Exit code 1 where one of them is missed.
+first step began. Asked: no step of lacli runs on after scheduler or client are gone (30 s are given, the time it took is told);
+the study, asked for again (with a new scheduler where that was shot), ends with every step of every patient done; a step that was
+done before is not done again; the products are those of a study that nobody shot at. Exit code 1 where one of them is missed.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ CASES = (
     ("worker", "SIGKILL"), ("client", "SIGKILL"), ("scheduler", "SIGKILL"), ("nanny", "SIGKILL"), ("client", "SIGINT"),
     ("client", "SIGTERM"),
 )  # fmt: skip
-_LATEST_S, _FAREWELL_S, _PATIENCE_S = 8.0, 10.0, 600.0
+_LATEST_S, _FAREWELL_S, _PATIENCE_S = 8.0, 30.0, 900.0
 
 
 def patients(home: Path) -> list[tuple[Participant, list[Step]]]:
@@ -129,9 +129,10 @@ def shoot(folder: Path, victim: str, how: str, after_s: float, expected: str) ->
                "scheduler": cluster.scheduler, "client": client}[victim]  # fmt: skip
         hit.send_signal(signal.Signals[how])
     if victim in ("scheduler", "client"):
-        end = time.monotonic() + _FAREWELL_S
-        while at_work(home) and time.monotonic() < end:
+        went = time.monotonic()
+        while at_work(home) and time.monotonic() < went + _FAREWELL_S:
             time.sleep(0.1)
+        print(f"    steps ended within {time.monotonic() - went:.1f} s")
         faults += [f"{len(left)} steps {_FAREWELL_S:g} s later"] if (left := at_work(home)) else []
     _, said = client.communicate(timeout=_PATIENCE_S)
     if "Traceback" in said:
@@ -162,6 +163,8 @@ def client(home: Path, address: str) -> int:
     from lacli.base.errors import LacliError
     from lacli.base.processes import signals
 
+    # a shell that starts this benchmark in the background lets it ignore Ctrl-C, and what ignores it goes on ignoring it
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         signals.catch()
         found = study(home, address)

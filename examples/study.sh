@@ -2,7 +2,8 @@
 # A whole study of synthetic patients whose truth is known, from the cohort to the report:
 #   bash examples/study.sh [RESULTS_FOLDER [PATIENTS]]
 # PATIENTS in each arm: 3, or 10 as in the published study. From the environment: ARMS ("heterogeneous"; all three are
-# "heterogeneous control thickness"), CELL_MM (8), SETTINGS (study.toml beside this file). Three patients take about 6 CPU minutes.
+# "heterogeneous control thickness"), CELL_MM (8), TARGETS (published; motion: 27 of them), SETTINGS (study.toml beside
+# this file). Three patients take about 6 CPU minutes.
 # Started again it goes on where it was.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/install.sh"
@@ -11,6 +12,7 @@ install_lacli
 RESULTS="${1:-$ROOT/results/study}"
 PATIENTS="${2:-3}"
 CELL_MM="${CELL_MM:-8}"
+TARGETS="${TARGETS:-published}"
 SETTINGS="${SETTINGS:-$ROOT/examples/study.toml}"
 read -r -a ARMS <<<"${ARMS:-heterogeneous}"
 [[ "$PATIENTS" =~ ^[1-9][0-9]*$ ]] || die "$PATIENTS patients; a whole number, 1 or more."
@@ -28,7 +30,8 @@ for arm in "${ARMS[@]}"; do
   COHORT="$RESULTS/$arm/cohort"
   STUDY="$RESULTS/$arm/study"
   say "$arm: $PATIENTS synthetic patients"
-  "$BIN/lacli" synthesize "$COHORT" --cohort "$PATIENTS" --arm "$arm" --cell-size-mm "$CELL_MM" --order 1
+  "$BIN/lacli" synthesize "$COHORT" --cohort "$PATIENTS" --arm "$arm" --targets "$TARGETS" \
+    --cell-size-mm "$CELL_MM" --order 1
   say "$arm: what will be done, and what it costs"
   "$BIN/lacli" cohort "$COHORT/participants.csv" --out "$STUDY" --settings "$SETTINGS" --dry-run
   say "$arm: the study"

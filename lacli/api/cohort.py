@@ -235,7 +235,7 @@ def _write_slurm(
 
 
 def _patients(participants: Path, folder: Path, scene: Path | None, settings: Path | None, only: Sequence[str]) -> Patients:
-    from lacli.cohort.participants import read_participants
+    from lacli.cohort.participants import check_targets, read_participants
     from lacli.cohort.steps import read_settings, steps_of
 
     if scene is not None and not scene.is_file():
@@ -244,6 +244,7 @@ def _patients(participants: Path, folder: Path, scene: Path | None, settings: Pa
     missing = [name for name in only if name not in [p.identifier for p in every]]
     if missing:
         raise UsageError(f"{participants}: no participant {', '.join(missing)}.")
+    check_targets(every, participants)
     own = None if scene is None else scene.absolute()
     chosen = [p for p in every if not only or p.identifier in only]
     return [(p, steps_of(p, shared, folder.absolute() / p.identifier, own)) for p in chosen]

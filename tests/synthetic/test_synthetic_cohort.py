@@ -42,6 +42,8 @@ def test_the_wall_is_thin_here_and_thick_there() -> None:
 def test_what_cannot_be_made_is_told_first(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="one of heterogeneous, control, thickness"):
         anatomy.synthesize(tmp_path / "c", cohort=2, arm="regional")
+    with pytest.raises(UsageError, match="one of published, motion"):
+        anatomy.synthesize(tmp_path / "c", cohort=2, arm="control", targets="all")
     with pytest.raises(UsageError, match="--cohort how many"):
         anatomy.synthesize(tmp_path / "c", arm="control")
     with pytest.raises(UsageError, match="leave --gated"):
@@ -76,3 +78,16 @@ def test_a_patient_is_what_a_study_reads(tmp_path: Path) -> None:
     assert (home / "sub-01" / "targets.toml").stat().st_mtime_ns == written
     with pytest.raises(AnatomyError, match="another arm"):
         anatomy.synthesize(home, **{**options, "arm": "control"})  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+def test_targets_of_motion_have_the_published_ones_first(tmp_path: Path) -> None:
+    options = {"cohort": 1, "arm": "control", "cell_size_mm": 12.0, "order": 1}
+    anatomy.synthesize(tmp_path / "p", **options)  # type: ignore[arg-type]
+    anatomy.synthesize(tmp_path / "m", targets="motion", **options)  # type: ignore[arg-type]
+    few, many = (read_targets(tmp_path / name / "sub-01" / "targets.toml") for name in ("p", "m"))
+    assert many.names[:7] == few.names and many.mean[:7] == pytest.approx(few.mean)
+    # three components and the area strain of five regions
+    assert len(many.names) == 7 + 4 * 5 and many.sd[many.names.index("area_strain_roof")] == cohort.SD_STRAIN
+    with pytest.raises(AnatomyError, match="other options"):
+        anatomy.synthesize(tmp_path / "p", targets="motion", **options)  # type: ignore[arg-type]
