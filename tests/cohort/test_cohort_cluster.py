@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import threading
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -158,7 +160,10 @@ def test_a_study_on_slurm_survives_a_lost_job(tmp_path: Path, monkeypatch: pytes
 
 
 @pytest.mark.slow
-def test_the_whole_study_is_the_same_on_a_cluster_as_here(cluster: Cluster, tmp_path: Path) -> None:
+@pytest.mark.parametrize("place", ["dask", pytest.param("slurm", marks=pytest.mark.skipif(bool(no_slurm()), reason=no_slurm()))])
+def test_the_whole_study_is_the_same_on_a_cluster_as_here(
+    place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
     alphas, outputs = [f"alpha_{r}" for r in BODY_REGIONS], tuple(f"d_{r}_mm" for r in BODY_REGIONS)
     x = 0.5 + 3.5 * np.random.default_rng(0).random((40, 5))
     runs = pd.DataFrame(x, columns=alphas).assign(**dict(zip(outputs, (10 - 2 * x).T, strict=True)))
@@ -169,12 +174,19 @@ def test_the_whole_study_is_the_same_on_a_cluster_as_here(cluster: Cluster, tmp_
     table.write_text("participant_id,table,targets\nsub-1,runs.csv,sub-1.toml\nsub-2,runs.csv,sub-2.toml\n")
     (tmp_path / "settings.toml").write_text(
         "[calibrate]\nmax-waves = 1\nfirst-runs = 40\ness = 200\nfigures = false\n[compare]\nparticles = 100\n"
+        '[slurm]\ncpus = 1\nmemory = "400M"\ntime = "00:10:00"\ninterface = "lo"\n'
     )
     seen: list[tuple[str, float]] = []
-    found = api.run_cohort(
-        table, tmp_path / "study", settings=tmp_path / "settings.toml", scheduler=cluster.address,
-        progress=lambda event: seen.append((event.stage, event.done)),
-    )  # fmt: skip
+    with contextlib.ExitStack() as stack:
+        if place == "slurm":
+            stack.enter_context(slurm_node(tmp_path, monkeypatch))
+            where: dict[str, Any] = {"slurm": True}
+        else:
+            where = {"scheduler": request.getfixturevalue("cluster").address}
+        found = api.run_cohort(
+            table, tmp_path / "study", settings=tmp_path / "settings.toml",
+            progress=lambda event: seen.append((event.stage, event.done)), **where,
+        )  # fmt: skip
     assert [(o.participant_id, o.status) for o in found.outcomes] == [("sub-1", "done"), ("sub-2", "done")]
     assert {("sub-1", 2), ("sub-2", 2)} <= set(seen)  # two steps each
     # slope 2 mm a unit: the truths within what .3 mm leave
