@@ -42,7 +42,7 @@ FILE, RESULT = "calibration.json", "result.json"
 _MODE = 25.0  # excess of chi^2 up to which a second minimum has a share in the posterior
 _LOCAL = 12.0  # Mahalanobis distance up to which a run takes part in the local emulator
 _DESCENT_ROUNDS = 24
-_OF_REFERENCE, _LEAST_OF_REFERENCE = 2, 4  # of its runs at a time; so many before it is believed what it corrects
+_OF_REFERENCE, _LEAST_OF_REFERENCE = 2, 3  # of its runs at a time; so many before it is believed what it corrects
 _PART = 0.7  # of the error's share that one part of it may have: both together are as the root of the sum of their squares
 PARTS: tuple[Part, Part] = ("emulator", "correction")
 _AT_ONCE = 3  # runs of the check of the box between two looks
@@ -94,8 +94,11 @@ def calibrate_sequentially(
     if len(known_after) > len(known):  # a mode that the first look missed: around it too
         known = known_after
         chain, evidence, moved, local, stopped = _refine(search, evidence, known, folder)
-    answer, _ = descent.lowest(local, evidence.z[int(np.argmin(evidence.misfit))])
-    evidence = (search.run if reference is None else search.refer)(answer[None], "at the most probable point")
+    answer, misfit = descent.lowest(local, evidence.z[int(np.argmin(evidence.misfit))])
+    if reference is None:
+        evidence = search.run(answer[None], "at the most probable point")
+    elif evidence.misfit[evidence.own].min() - misfit > descent.SETTLED:
+        evidence = search.refer(answer[None], "at the most probable point")
     result = result_of(search, evidence, known, local, components, chain, moved, swept, map_runs, stopped)
     write_json(folder / RESULT, {"identity": identity.digest, **document(result)})
     return result
@@ -255,7 +258,8 @@ def _refine(
         if search.reference is not None:
             # each part of the error by the runs that lessen it
             of_runs, of_correction = (change.expected_change(components, points, rng, part).max() for part in PARTS)
-            dear = min(_OF_REFERENCE, search.dear_left - 1) if not enough or of_correction > _PART * settings.share else 0
+            due = not enough or of_correction > _PART * settings.share
+            dear = min(_OF_REFERENCE if of_correction > 2.0 * settings.share else int(due), search.dear_left - 1)
             count = count if round_ == 1 or of_runs > _PART * settings.share or dear <= 0 else 0
         if max(count, dear) <= 0:
             stopped = f"{settings.max_runs} runs were allowed"
