@@ -65,9 +65,14 @@ def main() -> int:
     print(found.mean().map("{:.0%}".format).to_string())
     told = claims(choice.study, [str(name) for name in found.index])
     print(told.to_string())
+    if told.empty:
+        print("no models are compared")
+        return 1
     preferred = told[told["verdict"].str.contains("strongly preferred")]
     claimed = preferred["verdict"].str.startswith("regional")
     wrong = claimed[claimed != (arm == "heterogeneous")]
+    total, error = told["regional_over_global"].sum(), float(np.sqrt((told["se"] ** 2).sum()))
+    print(f"over the patients: log evidence of regional less global {total:.1f} ± {error:.1f}")
     print(f"claims: {len(claimed)} of {len(told)}, the wrong way round: {', '.join(map(str, wrong.index)) or 'none'}")
     return 1 if len(wrong) else 0
 

@@ -120,6 +120,7 @@ def synthesize(
     heart_rate: float = 65.0,
     parameters: Mapping[str, float] | None = None,
     arm: str | None = None,
+    targets: str = "published",
     progress: OnProgress | None = None,
     cancel: Cancel | None = None,
 ) -> tuple[Synthesis, ...]:
@@ -131,7 +132,8 @@ def synthesize(
     motion_blur the exposure as a fraction of the RR interval, contrast_drift_hu the blood's fall over the cycle, heart_rate
     in beats per minute, parameters known ones by name with unit. arm: a cohort for ``lacli cohort`` instead, its targets
     simulated on a finer mesh at drawn parameters: ``heterogeneous`` (every region its own stiffness), ``control`` (one
-    everywhere), ``thickness`` (one, in a wall of varying thickness). A folder that was made from the same is kept.
+    everywhere), ``thickness`` (one, in a wall of varying thickness); targets: ``published``, or ``motion``, which adds the
+    components of the displacement and the area strain of each region. A folder that was made from the same is kept.
     Raises UsageError, AnatomyError (a folder holds something else), StorageError, Cancelled.
     """
     from lacli.base.files import check_folder
@@ -158,8 +160,9 @@ def synthesize(
                 raise UsageError(f"--parameter {name}={value:g}: write it as name=number, not negative.")
     if arm is not None:
         return _arm(
-            folder, arm, range(seed, seed + cohort), {**wanted, **moved}, image or gated, Stage("", cohort, progress, cancel)
-        )
+            folder, arm, range(seed, seed + cohort), {**wanted, **moved}, image or gated, targets,
+            Stage("", cohort, progress, cancel),
+        )  # fmt: skip
     check_folder(folder)
     places = [(seed + i, folder / f"la{seed + i:02d}" if cohort else folder) for i in range(max(cohort, 1))]
     made = []
@@ -180,14 +183,16 @@ def synthesize(
 
 
 def _arm(
-    folder: Path, arm: str, seeds: Sequence[int], atrium: Mapping[str, Any], imaged: bool, stage: Stage
+    folder: Path, arm: str, seeds: Sequence[int], atrium: Mapping[str, Any], imaged: bool, targets: str, stage: Stage
 ) -> tuple[Synthesis, ...]:
     from lacli.base.files import check_folder
-    from lacli.synthetic.cohort import ARMS, write_cohort
+    from lacli.synthetic.cohort import ARMS, TARGETS, write_cohort
 
     known = next((one for one in ARMS if one == arm), None)
     if known is None:
         raise UsageError(f"--arm {arm}: must be one of {', '.join(ARMS)}.")
+    if targets not in TARGETS:
+        raise UsageError(f"--targets {targets}: must be one of {', '.join(TARGETS)}.")
     if not seeds:
         raise UsageError("--arm is of a cohort; say with --cohort how many patients.")
     if imaged:
@@ -201,7 +206,7 @@ def _arm(
         begun.append(name)
 
     stage.begin()
-    rows = write_cohort(folder, seeds, known, atrium, tell)
+    rows = write_cohort(folder, seeds, known, atrium, tell, targets)
     stage.reach(len(seeds))
     return tuple(Synthesis(Path(row["folder"]), row) for row in rows)
 

@@ -10,12 +10,13 @@ import pandas as pd
 from lacli.base.documents import read_json
 from lacli.base.errors import InputError
 from lacli.base.version import __version__
-from lacli.cohort.analysis.journal import PAIR_HEAD, SLOPE_HEAD, pair_rows, slope_rows
+from lacli.cohort.analysis.journal import MODEL_HEAD, PAIR_HEAD, SLOPE_HEAD, model_rows, pair_rows, slope_rows
 from lacli.cohort.analysis.observations import Observations, read_observations
 from lacli.cohort.analysis.statistics import Statistics, statistics
-from lacli.cohort.analysis.summary import MODELS, PATIENTS, REGIONS, SUMMARY
+from lacli.cohort.analysis.summary import ANATOMIES, CONTRASTS, FEATURES, MODELS, PATIENTS, REGIONS, SUMMARY, WAVES
+from lacli.cohort.gallery import atria, with_fibrillation
 from lacli.contracts.tables.file import read_frame
-from lacli.report.cohort_figures import regions_figure, scatter_figure
+from lacli.report.cohort_figures import gallery_figure, regions_figure, scatter_figure
 from lacli.report.page.document import Figure, Page, Section, Table, number, picture
 from lacli.report.page.run import closing
 
@@ -34,6 +35,7 @@ def study_page(study: Path, pictures: Path) -> Page:
     sections = [_patients(study, summary["notes"])]
     if (study / MODELS).is_file():
         sections.append(_models(study, summary["models"]))
+    sections += [section for section in (_anatomies(study, pictures), _fits(study)) if section is not None]
     sections += _answers(study, pictures)
     sections.append(closing(_METHODS, [], {"versions": {"lacli": __version__}}))
     lead = f"{summary['done']} of {summary['patients']} participants done."
@@ -64,7 +66,47 @@ def _models(study: Path, over: list[dict[str, object]]) -> Section:
     rows = _cells(frame[list(columns)])
     head = ("model", "patients", "RMSE mean, mm", "sd")
     total = tuple(tuple(number(m[k], 3) for k in ("name", "patients", "rmse_mean_mm", "rmse_sd_mm")) for m in over)
-    return Section("models", "Models", tables=(Table("RMSE over the patients", head, total), Table("By patient", columns, rows)))
+    tables = [Table("RMSE over the patients", head, total)]
+    if contrasts := _table(study / CONTRASTS, "Log evidence of a model less another's, summed over the patients"):
+        tables.append(contrasts)
+    return Section("models", "Models", tables=(*tables, Table("By patient", columns, rows)))
+
+
+def _table(file: Path, title: str) -> Table | None:
+    """A table of the study as it stands; None where it is not there."""
+    if not file.is_file():
+        return None
+    frame = read_frame(file)
+    return Table(title, tuple(str(name).replace("_", " ") for name in frame.columns), _cells(frame))
+
+
+def _fits(study: Path) -> Section | None:
+    """Features at the most probable point and waves, over the patients."""
+    features = _table(study / FEATURES, "Simulated less target at the most probable point, by feature over the patients")
+    waves = _table(study / WAVES, "Waves of history matching, by patient")
+    tables = tuple(table for table in (features, waves) if table is not None)
+    return Section("fits", "Fits", tables=tables) if tables else None
+
+
+def _anatomies(study: Path, pictures: Path) -> Section | None:
+    """The gallery, volumes measured and given, thickness two ways, fat by window."""
+    if not (study / ANATOMIES).is_file():
+        return None
+    frame = read_frame(study / ANATOMIES)
+    shown, lacking = atria(frame, study)
+    people = read_frame(study / PATIENTS)
+    marked = [
+        str(r["participant_id"]) for r in people.to_dict("records") if with_fibrillation({str(k): str(v) for k, v in r.items()})
+    ]
+    figures: tuple[Figure, ...] = ()
+    if shown:
+        files = _files(pictures, "gallery")
+        gallery_figure(shown, marked, files)
+        stars = "; a star: atrial fibrillation" if marked else ""
+        figures = (picture(files[0], f"The atria from the back at end-diastole, at one scale{stars}."),)
+    table = frame.drop(columns="bundle")
+    head = tuple(str(name).replace("_", " ") for name in table.columns)
+    return Section("anatomies", "Anatomies", tuple(lacking), tables=(Table("Anatomies", head, _cells(table)),), figures=figures)
 
 
 def _answers(study: Path, pictures: Path) -> list[Section]:
@@ -100,6 +142,7 @@ def _answer(found: Statistics, observed: Observations, pictures: Path) -> Sectio
     tables = [Table("Paired t-tests between regions", PAIR_HEAD, tuple(map(tuple, pair_rows(found))))]
     if found.associations:
         tables.append(Table(f"{name} ~ region + predictor", SLOPE_HEAD, tuple(map(tuple, slope_rows(found)))))
+        tables.append(Table(f"Mixed models of {name}, all coefficients", MODEL_HEAD, tuple(map(tuple, model_rows(found)))))
     for a in found.associations:
         files = _files(pictures, f"{name}_{a.predictor}")
         error = observed.errors.get(a.predictor)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,9 +15,11 @@ from lacli.base.documents import brief
 from lacli.base.errors import TableError
 from lacli.base.notes import note
 from lacli.cohort.analysis.observations import check_identifier
+from lacli.contracts.labels import BODY_REGIONS
 from lacli.contracts.tables.absent import check_column
 from lacli.contracts.tables.columns import to_numbers
 from lacli.contracts.tables.file import read_frame
+from lacli.contracts.targets import read_targets
 
 ID = "participant_id"
 PATHS = ("labels", "bundle", "ct", "images", "targets", "table", "scene")
@@ -33,6 +35,10 @@ class Participant:
     identifier: str
     paths: Mapping[str, Path]
     others: Mapping[str, str]
+
+    def __reduce__(self) -> tuple[type, tuple[object, ...]]:
+        """As it is sent to a cluster's workers: a mapping proxy cannot be."""
+        return Participant, (self.identifier, dict(self.paths), dict(self.others))
 
 
 def read_participants(path: Path) -> list[Participant]:
@@ -92,6 +98,26 @@ def _participant(home: Path, name: str, cells: Mapping[object, object], wrong: l
         if "images" not in paths and "targets" not in paths:
             wrong.append(f"{name}: neither images (to track) nor targets")
     return Participant(name, MappingProxyType(paths), MappingProxyType(others))
+
+
+def check_targets(participants: Sequence[Participant], where: Path) -> None:
+    """Whether targets that are given are of the same regions in all participants: statistics over them need complete tables.
+
+    Raises TableError, InputError of a file that is none.
+    """
+    have = {
+        p.identifier: {r for r in BODY_REGIONS if f"d_{r}_mm" in read_targets(p.paths["targets"]).names}
+        for p in participants
+        if "targets" in p.paths
+    }
+    every = set().union(*have.values())
+    for name, regions in have.items():
+        if lacking := [r for r in BODY_REGIONS if r in every - regions]:
+            other = next(n for n, found in have.items() if lacking[0] in found)
+            raise TableError(
+                f"{where}: the targets of {name} lack the displacement of {', '.join(lacking)}, which {other} has. Give it,"
+                " or leave it out for all. Nothing was run."
+            )
 
 
 def _impossible(text: str, unit: str, low: float, high: float) -> str:

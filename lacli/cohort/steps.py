@@ -13,7 +13,7 @@ from lacli.base.errors import UsageError
 from lacli.cohort.participants import Participant
 
 COMMANDS = ("mesh", "fat", "track", "calibrate", "compare")
-SLURM = ("time", "memory", "cpus", "account", "partition", "modules", "limit")
+SLURM = ("time", "memory", "cpus", "account", "partition", "modules", "limit", "interface")
 _OPTION = re.compile(r"[a-z][a-z0-9-]*")
 _PLAIN = re.compile(r"[A-Za-z0-9_./:=+,@ -]{1,200}")
 _OURS = ("out", "bundle", "anatomy", "targets", "from-table", "json", "other")
@@ -52,7 +52,7 @@ class Step:
 
 def read_settings(path: Path | None) -> Settings:
     """The settings file: tables ``[mesh]``, ``[fat]``, ``[track]``, ``[calibrate]``, ``[compare]`` of options without their
-    dashes, ``[slurm]`` with time, memory, cpus, account, partition, modules, limit. Raises UsageError."""
+    dashes, ``[slurm]`` with time, memory, cpus, account, partition, modules, limit, interface. Raises UsageError."""
     if path is None:
         return Settings()
     document = read_toml(path, error=UsageError)

@@ -77,8 +77,8 @@ def run(
                     _do(step, folder, wanted)
                 cpu[step.name] = float(read_json(_mark(step, folder))["cpu_s"])
             except (UsageError, InputError, StorageError) as error:
-                return _kept(folder, Outcome(patient.identifier, "failed", step.name, str(error), cpu))
-    return _kept(folder, Outcome(patient.identifier, "done", "", "", cpu))
+                return keep(folder, Outcome(patient.identifier, "failed", step.name, str(error), cpu))
+    return keep(folder, Outcome(patient.identifier, "done", "", "", cpu))
 
 
 def known_outcome(folder: Path) -> Outcome | None:
@@ -92,7 +92,8 @@ def known_outcome(folder: Path) -> Outcome | None:
         raise InputError(f"{file}: not a patient's state; remove it.") from None
 
 
-def _kept(folder: Path, outcome: Outcome) -> Outcome:
+def keep(folder: Path, outcome: Outcome) -> Outcome:
+    """Write a patient's state, as ``known_outcome`` reads it; gives it back. Raises StorageError."""
     write_json(folder / "status.json", asdict(outcome))
     return outcome
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +48,50 @@ def scatter_figure(
             axis.errorbar(x[:, j], y[:, j], xerr=bars, fmt="o", color=colour, markersize=4, elinewidth=0.6, label=region)
         axis.set(xlabel=names[0], ylabel=names[1])
         axis.legend(ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.2), fontsize=8)
+        _save(figure, files)
+
+
+@dataclass(frozen=True)
+class Atrium:
+    """One of a gallery: corners (t, 3, 3) mm of the endocardial triangles, their colours, direction to the camera, up (3,)."""
+
+    name: str
+    corners: FloatArray
+    colours: Sequence[str]
+    direction: FloatArray
+    up: FloatArray
+
+
+def gallery_figure(atria: Sequence[Atrium], marked: Sequence[str], files: Sequence[Path]) -> None:
+    """All atria from one side at one scale, by region; marked: names set in bold, with a star. One file a format."""
+    with paper():
+        import matplotlib.pyplot as plt
+        from matplotlib.collections import PolyCollection
+        from matplotlib.colors import to_rgb
+
+        columns = min(5, len(atria))
+        rows = -(-len(atria) // columns)
+        figure, axes = plt.subplots(rows, columns, figsize=(7.2, 1.6 * rows + 0.3), squeeze=False)
+        flats = [a.corners @ np.stack([np.cross(a.up, a.direction), a.up, a.direction], axis=1) for a in atria]
+        half = 0.55 * max(float(np.ptp(flat[..., :2].reshape(-1, 2), axis=0).max()) for flat in flats)
+        for axis in axes.flat:
+            axis.set_axis_off()
+        for axis, atrium, flat in zip(axes.flat, atria, flats, strict=False):
+            middle = (flat.reshape(-1, 3).max(axis=0) + flat.reshape(-1, 3).min(axis=0)) / 2
+            normal = np.cross(flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0])
+            light = 0.45 + 0.55 * np.abs(normal[:, 2]) / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)
+            order = np.argsort(flat[:, :, 2].mean(axis=1))  # far ones first
+            colour = np.array([to_rgb(c) for c in atrium.colours]) * light[:, None]
+            axis.add_collection(
+                PolyCollection(list(flat[order, :, :2]), facecolors=colour[order], edgecolors=colour[order], linewidths=0.2)
+            )
+            axis.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half), aspect="equal")
+            star = atrium.name in marked
+            axis.set_title(f"{atrium.name} *" if star else atrium.name, fontweight="bold" if star else "normal", fontsize=8)
+        bar = axes[0, 0]
+        low = bar.get_xlim()[0], bar.get_ylim()[0]
+        bar.plot([low[0], low[0] + 20.0], [low[1], low[1]], color="black", linewidth=1.5)
+        bar.text(low[0], low[1], "20 mm", fontsize=7, va="bottom")
         _save(figure, files)
 
 

@@ -34,16 +34,20 @@ Arm = Literal["heterogeneous", "control", "thickness"]
 ARMS: tuple[Arm, ...] = get_args(Arm)
 DESCRIPTION, PARTICIPANTS, SCENE, TRUTHS = "patient.json", "participants.csv", "scene.toml", "truths.csv"
 FEATURES = ("esv_ml", "d_global_mm", *(f"d_{region}_mm" for region in BODY_REGIONS))
+# what the targets are: those of the published calibration, or what a tracked motion tells of each region beside them
+_PARTS = ("n_{}_mm", "a_{}_mm", "b_{}_mm", "area_strain_{}")
+TARGETS = {"published": FEATURES, "motion": (*FEATURES, *(part.format(r) for part in _PARTS for r in BODY_REGIONS))}
 FINER = 0.7  # edge length of the truth's cells over the calibration's; the truth's are quadratic as well
 # errors of the targets (sd): those of displacements and volume at end-systole as tracking a CT of 1.5 mm has them
 # (benchmarks/track.py); for the errors that registration really makes, image the atria (--gated)
 SD_MM, SD_VOLUME = 0.35, 0.01  # of the end-diastolic volume
+SD_STRAIN = 0.05
 THIN_MM, THICK_MM = 1.2, 3.2
 _MEAN_SD, _AROUND_SD = 0.25, 0.4  # of log alpha: between patients, and between a patient's regions
 _STREAM = 20260417
 
 
-def parameters_of(seed: int, arm: Arm) -> dict[str, float]:
+def drawn_parameters(seed: int, arm: Arm) -> dict[str, float]:
     """The truth of a seed's patient in an arm: alphas by region, pressures (mmHg), the pericardium's stiffness and end."""
     rng = np.random.default_rng([_STREAM, seed])
     patient, regions = rng.normal(0.0, _MEAN_SD), rng.normal(0.0, _AROUND_SD, len(BODY_REGIONS))
@@ -66,19 +70,24 @@ def varying(seed: int) -> Callable[[FloatArray], FloatArray]:
 
 
 def write_cohort(
-    folder: Path, seeds: Sequence[int], arm: Arm, atrium: Mapping[str, Any], tell: Callable[[str], None]
+    folder: Path,
+    seeds: Sequence[int],
+    arm: Arm,
+    atrium: Mapping[str, Any],
+    tell: Callable[[str], None],
+    targets: str = "published",
 ) -> list[dict[str, Any]]:
     """A folder a patient (``bundle/``, ``targets.toml``, ``scene.toml``, ``truth.json``), participants.csv and truths.csv.
 
-    atrium: the arguments of ``synthesize`` but the seed: those of the calibration's mesh. tell: called with what begins. A
-    patient who is there and was made from the same is kept. Gives what each patient.json says. Raises AnatomyError where a
-    folder holds something else, LacliError where a simulation fails.
+    atrium: the arguments of ``synthesize`` but the seed: those of the calibration's mesh. tell: called with what begins.
+    targets: a key of ``TARGETS``. A patient who is there and was made from the same is kept. Gives what each patient.json says.
+    Raises AnatomyError where a folder holds something else, LacliError where a simulation fails.
     """
     rows = []
     for seed in seeds:
         name = f"sub-{seed:02d}"
         tell(name)
-        rows.append(_written(folder / name, seed, arm, dict(atrium)))
+        rows.append(_written(folder / name, seed, arm, dict(atrium), targets))
     people = pd.DataFrame(
         [
             {"participant_id": f"sub-{row['seed']:02d}", "arm": arm, "ed_volume_ml": round(row["edv_ml"], 1),
@@ -94,13 +103,22 @@ def write_cohort(
     return rows
 
 
-def _written(folder: Path, seed: int, arm: Arm, atrium: dict[str, Any]) -> dict[str, Any]:
-    made_from = {"seed": seed, "arm": arm, "atrium": atrium, "finer": FINER, "sd_mm": SD_MM, "sd_volume": SD_VOLUME}
+def _written(folder: Path, seed: int, arm: Arm, atrium: dict[str, Any], targets: str) -> dict[str, Any]:
+    made_from: dict[str, Any] = {
+        "seed": seed,
+        "arm": arm,
+        "atrium": atrium,
+        "finer": FINER,
+        "sd_mm": SD_MM,
+        "sd_volume": SD_VOLUME,
+    }
+    if targets != "published":
+        made_from |= {"targets": targets, "sd_strain": SD_STRAIN}
     if (info := _finished(folder, made_from)) is not None:
         return {"folder": str(folder), **info}
     partial = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
     try:
-        info = {**made_from, **_write(partial, seed, arm, atrium)}
+        info = {**made_from, **_write(partial, seed, arm, atrium, TARGETS[targets])}
         info[kept.FILES] = kept.digests(partial, DESCRIPTION)
         write_json(partial / DESCRIPTION, info)
         if folder.exists():
@@ -123,9 +141,9 @@ def _finished(folder: Path, made_from: dict[str, Any]) -> dict[str, Any] | None:
     return info
 
 
-def _write(folder: Path, seed: int, arm: Arm, atrium: dict[str, Any]) -> dict[str, Any]:
+def _write(folder: Path, seed: int, arm: Arm, atrium: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
     wall = varying(seed) if arm == "thickness" else None
-    parameters = parameters_of(seed, arm)
+    parameters = drawn_parameters(seed, arm)
     fine = {**atrium, "cell_size_mm": FINER * atrium["cell_size_mm"], "order": 2}
     _save(*synthesize(seed, **fine, wall=wall), folder / "truth_bundle")
     scene = build_scene(
@@ -135,11 +153,11 @@ def _write(folder: Path, seed: int, arm: Arm, atrium: dict[str, Any]) -> dict[st
     result = run_scene(with_parameters(scene, parameters), folder / "runs")
     if result.status != "done":
         raise LacliError(f"{folder.name}: the simulation of the truth failed ({result.kind}): {result.message}")
-    features = {name: float(result.features[name]) for name in (*FEATURES, "edv_ml")}
+    features = {name: float(result.features[name]) for name in (*names, "edv_ml")}
     for scrap in ("runs", "truth_bundle"):
         shutil.rmtree(folder / scrap)
     _save(*synthesize(seed, **atrium, wall=wall), folder / "bundle")
-    _targets(folder / "targets.toml", features, seed)
+    _targets(folder / "targets.toml", features, names, seed)
     patients = build_scene(
         {"anatomy": {"bundle": "bundle"}, "numerics": {"order": atrium["order"]}, "outputs": {"frames": 0, "fields": "none"}},
         [], folder=folder.absolute(), where="the synthetic cohort",
@@ -156,9 +174,10 @@ def _save(bundle: Bundle, motion: Motion, folder: Path) -> None:
     load(folder)
 
 
-def _targets(file: Path, features: Mapping[str, float], seed: int) -> None:
+def _targets(file: Path, features: Mapping[str, float], names: tuple[str, ...], seed: int) -> None:
     """The truth's features with errors drawn."""
-    true = np.array([features[name] for name in FEATURES])
-    sd = np.array([SD_MM if name.endswith("_mm") else SD_VOLUME * features["edv_ml"] for name in FEATURES])
+    true = np.array([features[name] for name in names])
+    other = {"esv_ml": SD_VOLUME * features["edv_ml"]}
+    sd = np.array([SD_MM if name.endswith("_mm") else other.get(name, SD_STRAIN) for name in names])
     noise = np.random.default_rng([_STREAM, seed, 2]).standard_normal(len(true))
-    write_targets(file, Targets(FEATURES, true + sd * noise, sd))
+    write_targets(file, Targets(names, true + sd * noise, sd))

@@ -51,7 +51,7 @@ def test_the_dry_run_runs_nothing(table: Path) -> None:
     assert [(r["participant_id"], r["step"], r["state"]) for r in document["steps"][:2]] == [
         ("sub-1", "calibrate", "to do"), ("sub-1", "compare", "to do"),
     ]  # fmt: skip
-    assert document["cost"] == {"calibrations": 0, "runs_each": 40, "cpu_s_per_run": None}  # the runs are there
+    assert document["cost"] == {"calibrations": 0, "runs_each": 0, "cpu_s_per_run": None}  # the runs are there
     assert "lacli calibrate --from-table" in _call(table, "--dry-run").stdout
     assert not (table.parent / "study").exists()
     script = table.parent / "job.sh"
@@ -68,6 +68,62 @@ def test_an_option_that_no_command_has_is_told_before(table: Path, text: str, wo
     shown = _call(table)
     assert isinstance(shown.exception, UsageError) and words in str(shown.exception)
     assert not (table.parent / "study").exists()
+
+
+def _spoilt(table: Path, how: str) -> None:
+    frame = pd.read_csv(table, dtype=str)
+    if how == "missing file":
+        frame.loc[1, "table"] = "gone.csv"
+    if how == "missing table":
+        table.unlink()
+        return
+    if how == "twice":
+        frame.loc[1, "participant_id"] = "sub-1"
+    if how == "age":
+        frame.loc[1, "age"] = "sixty"
+    if how == "NaN":
+        frame.loc[1, "participant_id"] = None
+    if how == "empty":
+        frame = frame[:0]
+    if how == "path":
+        frame.loc[1, "participant_id"] = "/etc/passwd"
+    if how == "regions":
+        write_targets(table.parent / "sub-2.toml", Targets(OUTPUTS[:4], np.full(4, 8.0), np.full(4, 0.3)))
+    if how == "no targets":
+        (table.parent / "sub-2.toml").write_text("targets = 1\n")
+    frame.to_csv(table, index=False)
+
+
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        ("missing file", "gone.csv is not there"),
+        ("missing table", "participants.csv"),
+        ("twice", "sub-1 stands twice"),
+        ("age", "age is 'sixty', not a number"),
+        ("NaN", "row 2: '' is no identifier"),
+        ("empty", "participants.csv"),
+        ("path", "'/etc/passwd' is no identifier"),
+        ("regions", "sub-2 lack the displacement of roof, which sub-1 has"),
+        ("no targets", "sub-2.toml"),
+    ],
+)
+def test_a_bad_table_of_participants_is_one_message_and_nothing_runs(table: Path, how: str, words: str) -> None:
+    _spoilt(table, how)
+    for more in ((), ("--dry-run",)):
+        shown = _call(table, *more)
+        assert isinstance(shown.exception, LacliError) and shown.exception.exit_code in (1, 2), shown.output
+        assert words in str(shown.exception) and "\n" not in str(shown.exception)
+    assert not (table.parent / "study").exists()
+
+
+def test_one_patient_alone_is_told_by_stats(tmp_path: Path) -> None:
+    frame = pd.DataFrame({"participant_id": "sub-1", "region": BODY_REGIONS, "d_mm": np.arange(5.0)})
+    frame.to_csv(tmp_path / "regions.csv", index=False)
+    call = ["stats", str(tmp_path / "regions.csv"), "--response", "d_mm", "--out", str(tmp_path / "statistics")]
+    shown = CliRunner().invoke(main.build({"stats"}), call)
+    assert isinstance(shown.exception, LacliError) and "one patient (sub-1)" in str(shown.exception)
+    assert not (tmp_path / "statistics").exists()
 
 
 @pytest.mark.slow

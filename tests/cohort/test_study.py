@@ -107,7 +107,14 @@ def compared(folder: Path, rmse: float) -> None:
     save_chain(folder / "calibration" / "chain.npz", chain_of([f"alpha_{r}" for r in BODY_REGIONS]))
     same = {"log_evidence": -3.0, "log_evidence_se": 0.1, "elpd": -4.0, "elpd_se": 1.0, "p_loo": 2.0}
     fits = [{"name": n, "rmse_mm": rmse + k, **same} for k, n in enumerate(("regional", "global"))]
-    (folder / "comparison.json").write_text(json.dumps({"fits": fits}))
+    contrast = {
+        "model": "regional",
+        "against": "global",
+        "difference": 10 * rmse,
+        "se": 0.3,
+        "verdict": "no contrast can be claimed",
+    }
+    (folder / "comparison.json").write_text(json.dumps({"fits": fits, "contrasts": [contrast]}))
 
 
 def test_the_tables_hold_who_is_done_and_say_who_is_not(tmp_path: Path) -> None:
@@ -136,10 +143,20 @@ def test_the_tables_hold_who_is_done_and_say_who_is_not(tmp_path: Path) -> None:
     assert median_cpu_s(study) == 20.0
     assert median_cpu_s(tmp_path / "nowhere") is None
 
+    features = pd.read_csv(study / "features.csv").set_index("feature")
+    # emulated 5, targets 5 to 9, the same in both patients: no spread; sd .2
+    assert features.loc["d_roof_mm", ["rmse", "sd", "rmse_in_sd"]].tolist() == pytest.approx([4.0, 0.0, 20.0])
+    (contrast,) = pd.read_csv(study / "contrasts.csv").to_dict("records")
+    # 2 + 4 nats, sqrt(.3^2 + .3^2): beyond 3 + 2 se
+    assert contrast["log_evidence"] == pytest.approx(6.0) and contrast["se"] == pytest.approx(0.3 * np.sqrt(2.0))
+    assert contrast["verdict"] == "regional is strongly preferred" and contrast["prefer_model"] == 0
+
     made = study_pages.study_page(study, tmp_path)
     assert made.lead == "2 of 3 participants done."
     titles = [section.title for section in made.sections]
-    assert titles[:2] == ["Participants", "Models"]
+    assert titles[:3] == ["Participants", "Models", "Fits"]
+    shown = [row for section in made.sections for table in section.tables for row in table.rows]
+    assert ("d_roof_mm", "2", "4", "0", "20") in shown and any("regional is strongly preferred" in row for row in shown)
     (study / SUMMARY).write_text("{}")
     with pytest.raises(InputError, match="not a study's summary"):
         study_pages.study_page(study, tmp_path)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import json
 import os
 import signal
 import subprocess
@@ -18,6 +17,7 @@ from typing import Any
 
 import psutil
 import pytest
+from clusters import Cluster, wait_for
 
 from lacli.base.errors import LacliError, StorageError, UsageError
 from lacli.base.processes.process import supervise
@@ -75,56 +75,10 @@ def children_at_work(root: Path) -> list[psutil.Process]:
     return found
 
 
-def wait_for(condition: Callable[[], object], seconds: float = 30) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.05)
-
-
-class Cluster:
-    """A scheduler and workers, each a process of its own with its nanny, on 127.0.0.1."""
-
-    def __init__(self, folder: Path, workers: int) -> None:
-        self.folder = folder
-        self.environment = {**os.environ, "PYTHONPATH": str(HERE)}
-        self.scheduler = self.start("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard")
-        wait_for(self.file.is_file, 60)
-        self.nannies = [self.start("worker", "--nthreads", "1", "--no-dashboard") for _ in range(workers)]
-        self.address = f"tcp://127.0.0.1:{self._port()}"
-        from distributed import Client
-
-        with Client(self.address, set_as_default=False) as client:
-            client.wait_for_workers(workers, timeout=60)
-
-    @property
-    def file(self) -> Path:
-        return self.folder / "scheduler.json"
-
-    def _port(self) -> int:
-        return int(json.loads(self.file.read_text())["address"].rsplit(":", 1)[1])
-
-    def start(self, what: str, *options: str) -> psutil.Popen:
-        command = [sys.executable, "-m", "dask", what, "--scheduler-file", str(self.file), *options]
-        if what == "worker":
-            command += ["--host", "127.0.0.1", "--local-directory", str(self.folder)]
-        log = (self.folder / f"{what}.log").open("ab")
-        with log:
-            return psutil.Popen(command, env=self.environment, stdout=log, stderr=log, start_new_session=True)
-
-    def stop(self) -> None:
-        for process in [*self.nannies, self.scheduler]:
-            with suppress(psutil.Error):
-                for one in [*process.children(recursive=True), process]:
-                    with suppress(psutil.Error):
-                        one.kill()
-            process.wait(10)
-
-
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[Cluster]:
     (tmp_path / "cluster").mkdir()
-    it = Cluster(tmp_path / "cluster", workers=2)
+    it = Cluster(tmp_path / "cluster", workers=2, modules=[HERE, HERE.parent])
     try:
         yield it
     finally:
@@ -228,7 +182,7 @@ def test_a_client_that_goes_ends_its_runs(cluster: Cluster, scene_of: SceneOf, t
     scene, root = tmp_path / "scene.toml", tmp_path / "runs"
     scene.write_text(dump_scene(scene_of()))
     command = [sys.executable, "-c", CLIENT, str(scene), str(root), cluster.address]
-    environment = {**os.environ, "PYTHONPATH": str(HERE)}
+    environment = cluster.environment
     with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as client:
         assert client.stdout is not None
         assert client.stdout.readline() == "0\n"

@@ -18,19 +18,19 @@ from lacli.contracts.scene import load_scene
 from lacli.contracts.targets import read_targets
 from lacli.inference.box import published_box
 from lacli.synthetic import cohort
-from lacli.synthetic.cohort import ARMS, parameters_of, varying
+from lacli.synthetic.cohort import ARMS, drawn_parameters, varying
 
 
 @pytest.mark.parametrize("arm", ARMS)
 def test_only_one_arm_has_regions_that_differ(arm: cohort.Arm) -> None:
     box = published_box()
     for seed in range(200):
-        drawn = parameters_of(seed, arm)
+        drawn = drawn_parameters(seed, arm)
         alpha = [drawn[f"alpha_{region}"] for region in BODY_REGIONS]
         assert (len(set(alpha)) > 1) == (arm == "heterogeneous")
         for name, low, high in zip(box.names, box.lower, box.upper, strict=True):
             assert low < drawn[name] < high, name
-    assert parameters_of(1, arm) == parameters_of(1, arm) != parameters_of(2, arm)
+    assert drawn_parameters(1, arm) == drawn_parameters(1, arm) != drawn_parameters(2, arm)
 
 
 def test_the_wall_is_thin_here_and_thick_there() -> None:
@@ -42,6 +42,8 @@ def test_the_wall_is_thin_here_and_thick_there() -> None:
 def test_what_cannot_be_made_is_told_first(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="one of heterogeneous, control, thickness"):
         anatomy.synthesize(tmp_path / "c", cohort=2, arm="regional")
+    with pytest.raises(UsageError, match="one of published, motion"):
+        anatomy.synthesize(tmp_path / "c", cohort=2, arm="control", targets="all")
     with pytest.raises(UsageError, match="--cohort how many"):
         anatomy.synthesize(tmp_path / "c", arm="control")
     with pytest.raises(UsageError, match="leave --gated"):
@@ -69,10 +71,23 @@ def test_a_patient_is_what_a_study_reads(tmp_path: Path) -> None:
     sd = dict(zip(targets.names, targets.sd, strict=True))
     assert sd["d_roof_mm"] == 0.35 and sd["esv_ml"] == pytest.approx(0.01 * truth["features"]["edv_ml"])
     truths = pd.read_csv(home / "truths.csv")
-    assert truths.loc[0, "alpha_roof"] == parameters_of(1, "thickness")["alpha_roof"]
+    assert truths.loc[0, "alpha_roof"] == drawn_parameters(1, "thickness")["alpha_roof"]
     assert not (home / "sub-01" / "truth_bundle").exists()  # what is calibrated knows nothing of it
     written = (home / "sub-01" / "targets.toml").stat().st_mtime_ns
     anatomy.synthesize(home, **options)  # type: ignore[arg-type]
     assert (home / "sub-01" / "targets.toml").stat().st_mtime_ns == written
     with pytest.raises(AnatomyError, match="another arm"):
         anatomy.synthesize(home, **{**options, "arm": "control"})  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+def test_targets_of_motion_have_the_published_ones_first(tmp_path: Path) -> None:
+    options = {"cohort": 1, "arm": "control", "cell_size_mm": 12.0, "order": 1}
+    anatomy.synthesize(tmp_path / "p", **options)  # type: ignore[arg-type]
+    anatomy.synthesize(tmp_path / "m", targets="motion", **options)  # type: ignore[arg-type]
+    few, many = (read_targets(tmp_path / name / "sub-01" / "targets.toml") for name in ("p", "m"))
+    assert many.names[:7] == few.names and many.mean[:7] == pytest.approx(few.mean)
+    # three components and the area strain of five regions
+    assert len(many.names) == 7 + 4 * 5 and many.sd[many.names.index("area_strain_roof")] == cohort.SD_STRAIN
+    with pytest.raises(AnatomyError, match="other options"):
+        anatomy.synthesize(tmp_path / "p", targets="motion", **options)  # type: ignore[arg-type]

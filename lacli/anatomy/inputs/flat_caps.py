@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
@@ -9,18 +11,35 @@ from scipy.sparse.csgraph import connected_components
 from lacli.base.arrays import BoolArray, FloatArray, IntArray
 from lacli.geometry import curves as paths
 
-SAME_DEG = 5.0  # between triangles of one disc: rounding of coordinates
-SHARP_DEG = 20.0  # between a disc and the wall
-SHARP_SHARE = 0.8  # of a disc's rim
 LEAST_MM2 = 25.0
-ROUND = 0.5  # 4 pi area / perimeter^2: 1 of a circle, 0.64 of an ellipse twice as long as wide
-FLAT = 0.02  # of a disc's diameter: how far its points may lie off its plane
+ROUND = 0.65  # 4 pi area / perimeter^2: 1 of a circle, 0.84 and 0.66 of ellipses twice and thrice as long as wide
+FEWEST = 6  # triangles: a facet of a coarse surface is no disc
+SHARP_DEG = 20.0  # between a disc and the wall
+
+
+@dataclass(frozen=True)
+class Kind:
+    """How discs are drawn: neighbours that belong together, by the angle (degrees) between them or the length of their common
+    edge (in median edges of the surface); how far points are off the plane at most (of the diameter); least sharp share of the
+    rim."""
+
+    most_deg: float
+    least_edges: float
+    height: float
+    sharp: float
+
+
+KINDS = (
+    Kind(5.0, 0.0, 0.02, 0.8),  # cut by a plane, with the rounding of coordinates
+    Kind(15.0, 0.0, 0.12, 0.8),  # drawn over a rim that is not quite plane
+    Kind(40.0, 4.0, 0.06, 0.0),  # long triangles from rim to rim, the short ones at the rim left out
+)
 
 
 def flat_caps(points: FloatArray, triangles: IntArray) -> list[BoolArray]:
-    """Masks (t,) of the triangles of each flat, round, sharply bordered disc of a consistently turned surface, largest first.
+    """Masks (t,) of the triangles of each flat, round disc: sharply bordered, or of long triangles.
 
-    points (n, 3) mm, triangles (t, 3).
+    The surface is consistently turned; points (n, 3) mm, triangles (t, 3).
     """
     vector = np.cross(points[triangles[:, 1]] - points[triangles[:, 0]], points[triangles[:, 2]] - points[triangles[:, 0]])
     size = np.linalg.norm(vector, axis=1)
@@ -28,24 +47,24 @@ def flat_caps(points: FloatArray, triangles: IntArray) -> list[BoolArray]:
     edges, count, of = paths.edge_table(triangles)
     pairs, edge = _wings(of)
     angle = np.degrees(np.arccos(np.clip(np.einsum("ij,ij->i", normal[pairs[:, 0]], normal[pairs[:, 1]]), -1.0, 1.0)))
-    flat = angle < SAME_DEG
-    graph = coo_matrix((np.ones(int(flat.sum())), tuple(pairs[flat].T)), shape=(len(triangles),) * 2)
-    _, part = connected_components(graph, directed=False)
-    area = np.bincount(part, weights=0.5 * size)
-    length = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
-    found = []
-    for one in np.argsort(-area):
-        if area[one] < LEAST_MM2:
-            break
-        mine = part == one
-        border = mine[pairs[:, 0]] != mine[pairs[:, 1]]
-        rim = float(length[edge[border]].sum())
-        sharp = float(length[edge[border & (angle > SHARP_DEG)]].sum())
-        is_open = bool((count[of[mine]] == 1).any())
-        if is_open or rim == 0 or sharp < SHARP_SHARE * rim or 4 * np.pi * area[one] < ROUND * rim**2:
-            continue
-        if _height(points[np.unique(triangles[mine])]) <= FLAT * np.sqrt(4 * area[one] / np.pi):
-            found.append(mine)
+    all_lengths = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
+    length, usual = all_lengths[edge], float(np.median(all_lengths))
+    found: list[BoolArray] = []
+    taken = (count[of] == 1).any(axis=1)  # a cap has no open edge
+    for kind in KINDS:
+        joined = pairs[(angle < kind.most_deg) & (length >= kind.least_edges * usual)]
+        graph = coo_matrix((np.ones(len(joined)), tuple(joined.T)), shape=(len(triangles),) * 2)
+        _, part = connected_components(graph, directed=False)
+        area = np.bincount(part, weights=0.5 * size)
+        for one in np.flatnonzero((area >= LEAST_MM2) & (np.bincount(part) >= FEWEST)):
+            mine = part == one
+            border = mine[pairs[:, 0]] != mine[pairs[:, 1]]
+            rim, sharp = float(length[border].sum()), float(length[border & (angle > SHARP_DEG)].sum())
+            if rim == 0 or sharp < kind.sharp * rim or 4 * np.pi * area[one] < ROUND * rim**2 or (taken & mine).any():
+                continue
+            if _height(points[np.unique(triangles[mine])]) <= kind.height * np.sqrt(4 * area[one] / np.pi):
+                found.append(mine)
+                taken |= mine
     return found
 
 

@@ -49,6 +49,10 @@ def command(
             " own stiffness), control (one everywhere) or thickness (one, in a wall of varying thickness)."
         ),
     ] = None,
+    targets: Annotated[
+        str,
+        typer.Option(help="With --arm: published (7 targets), or motion: also components and area strain of each region (27)."),
+    ] = "published",
     as_json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
 ) -> None:
     """Write a parametric left atrium from a seed: bundle (wall, boundary, regions, fibres), annulus motion, images if asked.
@@ -68,7 +72,8 @@ def command(
             out, seed=seed, volume_ml=volume_ml, thickness_mm=thickness_mm, cell_size_mm=cell_size_mm, order=order, frames=frames,
             descent_mm=descent_mm, cohort=cohort, image=image, voxel_mm=voxel_mm, gated=gated, noise_hu=noise_hu, blur=blur,
             motion_blur=motion_blur, contrast_drift_hu=contrast_drift_hu, heart_rate=heart_rate,
-            parameters=_parameters(parameter or []) if gated else {}, arm=arm, progress=show,
+            parameters=_parameters(parameter or []) if gated else {}, arm=arm, targets=targets,
+            progress=show,
         )  # fmt: skip
     rows = [one.report for one in made]
     if as_json:

@@ -79,6 +79,18 @@ def slope_rows(found: Statistics) -> list[list[str]]:
     return rows
 
 
+def model_rows(found: Statistics) -> list[list[str]]:
+    """Every coefficient of the plain mixed models: estimate, se, z, p, interval; and the random intercept's variance."""
+    rows = []
+    for a in found.associations:
+        for c in a.plain.coefficients:
+            rows.append([a.predictor, c.term, f"{c.estimate:.3g}", f"{c.se:.2g}", f"{c.statistic:.2f}", p_words(c.p),
+                         f"{c.low:.3g} to {c.high:.3g}"])  # fmt: skip
+        rows.append([a.predictor, "variance of the random intercept", f"{a.plain.intercept_sd**2:.3g}", *["-"] * 4])
+    return rows
+
+
+MODEL_HEAD = ("predictor", "term", "estimate", "se", "z", "p", "95 % interval")
 PAIR_HEAD = ("pair", "difference ± sd", "t (df)", "p", "Bonferroni", "Holm")
 SLOPE_HEAD = ("predictor", "method", "slope", "95 % interval", "p")
 

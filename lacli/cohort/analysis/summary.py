@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +10,14 @@ import numpy as np
 import pandas as pd
 
 from lacli.base.documents import read_json
-from lacli.base.errors import AnatomyError, InputError
 from lacli.base.files import replacing, write_json
+from lacli.cohort.analysis.fits import Anatomy, over_contrasts, over_features, over_waves, read_anatomy, read_contrasts
 from lacli.cohort.participants import Participant
 from lacli.cohort.study import Outcome
 from lacli.contracts.labels import BODY_REGIONS
 
 PATIENTS, REGIONS, DRAWS, MODELS, SUMMARY = "patients.csv", "regions.csv", "draws.csv", "models.csv", "summary.json"
+FEATURES, WAVES, CONTRASTS, ANATOMIES = "features.csv", "waves.csv", "contrasts.csv", "anatomies.csv"
 _DRAWS = 200
 
 
@@ -25,11 +26,18 @@ def write_summary(study: Path, participants: Sequence[Participant], outcomes: Se
     done = {o.participant_id for o in outcomes if o.status == "done"}
     notes: list[str] = []
     regions, draws, models = [], [], []
+    results, contrasts, anatomies = {}, {}, []
     for patient in participants:
         if patient.identifier not in done:
             continue
         folder = study / patient.identifier
-        regions += _regions(patient, folder)
+        result = results[patient.identifier] = read_json(folder / "calibration" / "result.json")
+        contrasts[patient.identifier] = read_contrasts(folder)
+        anatomy = read_anatomy(patient.paths.get("bundle", folder / "anatomy"), patient.identifier)
+        fat = _fat(folder)
+        if anatomy is not None:
+            anatomies.append(_of_anatomy(patient, anatomy, fat, study))
+        regions += _regions(patient, result, {} if anatomy is None else anatomy.laplace_mm, fat.get("standard", {}))
         draws += _draws(patient, folder)
         for fit in read_json(folder / "comparison.json")["fits"]:
             models.append({"participant_id": patient.identifier, **fit})
@@ -49,6 +57,10 @@ def write_summary(study: Path, participants: Sequence[Participant], outcomes: Se
         (REGIONS, table),
         (DRAWS, pd.DataFrame(draws)),
         (MODELS, pd.DataFrame(models)),
+        (FEATURES, pd.DataFrame(over_features(results))),
+        (WAVES, pd.DataFrame(over_waves(results))),
+        (CONTRASTS, pd.DataFrame(over_contrasts(contrasts))),
+        (ANATOMIES, pd.DataFrame(anatomies)),
     ):
         if frame.empty:
             (study / name).unlink(missing_ok=True)  # an earlier call's would show another result
@@ -87,13 +99,32 @@ def _over_patients(models: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return rows
 
 
-def _regions(patient: Participant, folder: Path) -> list[dict[str, Any]]:
-    result = read_json(folder / "calibration" / "result.json")
+def _fat(folder: Path) -> dict[str, dict[str, float]]:
+    """Epicardial fat by window and region, mL; empty where there is no CT."""
+    file = folder / "fat" / "fat.json"
+    windows = read_json(file)["windows"] if file.is_file() else {}
+    return {str(name): dict(window["per_region_ml"]) for name, window in windows.items()}
+
+
+def _of_anatomy(patient: Participant, anatomy: Anatomy, fat: dict[str, dict[str, float]], study: Path) -> dict[str, Any]:
+    """A patient's row: cavity measured beside the given one, thickness two ways, fat in each window."""
+    given = pd.to_numeric(pd.Series([patient.others.get("ed_volume_ml")]), errors="coerce").iloc[0]
+    means = [float(np.mean(list(of.values()))) for of in (anatomy.laplace_mm, anatomy.eikonal_mm)]
+    bundle = anatomy.bundle.absolute()
+    row = {
+        "participant_id": patient.identifier, "ed_volume_ml_given": given, "ed_volume_ml_measured": anatomy.cavity_ml,
+        "thickness_laplace_mm": means[0], "thickness_eikonal_mm": means[1],
+        "thickness_median_difference_mm": anatomy.median_difference_mm,
+        **{f"fat_{name}_ml": float(sum(of.values())) for name, of in fat.items()},
+    }  # fmt: skip
+    return {**row, "bundle": str(bundle.relative_to(study.absolute()) if bundle.is_relative_to(study.absolute()) else bundle)}
+
+
+def _regions(
+    patient: Participant, result: dict[str, Any], thickness: Mapping[str, float], fat: Mapping[str, float]
+) -> list[dict[str, Any]]:
     posterior = {row["input"]: row for row in result["posterior"]}
     fit = {row["feature"]: row for row in result["fit"]}
-    thickness = _thickness(patient, folder)
-    fat_file = folder / "fat" / "fat.json"
-    fat = read_json(fat_file)["windows"]["standard"]["per_region_ml"] if fat_file.is_file() else {}
     rows = []
     for region in BODY_REGIONS:
         row: dict[str, Any] = {"participant_id": patient.identifier, "region": region}
@@ -106,20 +137,6 @@ def _regions(patient: Participant, folder: Path) -> list[dict[str, Any]]:
         row["thickness_mm"], row["fat_ml"] = thickness.get(region, np.nan), fat.get(region, np.nan)
         rows.append(row)
     return rows
-
-
-def _thickness(patient: Participant, folder: Path) -> dict[str, float]:
-    """Mean thickness by region, mm, along Laplace's lines; empty where there is no anatomy."""
-    from lacli.anatomy.wall.thickness import of_bundle
-    from lacli.contracts.bundle import load
-
-    bundle = patient.paths.get("bundle", folder / "anatomy")
-    if not bundle.is_dir():
-        return {}
-    try:
-        return {name: laplace for name, (_, laplace) in of_bundle(load(bundle)).per_region.items()}
-    except AnatomyError as error:
-        raise InputError(f"{patient.identifier}: {error}") from None
 
 
 def _draws(patient: Participant, folder: Path) -> list[dict[str, Any]]:

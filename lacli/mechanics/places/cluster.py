@@ -1,4 +1,4 @@
-"""Runs on the workers of a Dask cluster, which see the same folder of runs.
+"""Runs, and other tasks, on the workers of a Dask cluster, which see the same folders.
 
 Whoever is lost, nothing is: the run of a lost worker goes to another one; a lost scheduler, or a client that is gone,
 ends what runs (FreeFEM on the workers included, within seconds), and the same command goes on from what is finished.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -36,6 +37,11 @@ _LOST = (
 )
 
 
+# what does a task on a worker: (report, wanted, *arguments) -> ("result", content), ("ended", (kind, message, MB)) or
+# ("error", exception)
+Body = Callable[..., tuple[str, Any]]
+
+
 def on_cluster(
     scenes: Sequence[Scene],
     root: Path,
@@ -44,6 +50,26 @@ def on_cluster(
     task: Callable[..., RunResult] | None,
 ) -> Iterator[tuple[int, RunResult]]:
     """Run all scenes; yield (index, result) as they finish. Raises UsageError where no scheduler answers."""
+    at = root.resolve()
+    return tasks_on_cluster(
+        _run, [(task, scene, at) for scene in scenes], scheduler, Trials(scenes, at).ended, on_progress, lambda: None
+    )
+
+
+def tasks_on_cluster(
+    body: Body,
+    tasks: Sequence[tuple[Any, ...]],
+    scheduler: str,
+    ended: Callable[..., Any],
+    on_progress: Callable[[int, Any], None] | None,
+    look: Callable[[], None],
+) -> Iterator[tuple[int, Any]]:
+    """Do ``body`` for the arguments of each task; yield (index, result) as they finish.
+
+    ended(index, kind, message, MB, last): the machine ended a task; gives its result, or None where it shall be tried again.
+    look: called about each second while we wait; may raise. Raises UsageError where no scheduler answers, LacliError where it
+    is lost; what runs is then ended.
+    """
     try:
         import distributed  # noqa: F401  (it sets its loggers' levels)
     except ImportError as error:
@@ -51,7 +77,7 @@ def on_cluster(
     with _quiet():
         client = _connect(scheduler)
         try:
-            yield from _series(client, scenes, root.resolve(), on_progress, scheduler, task)
+            yield from _series(client, body, tasks, ended, on_progress, look, scheduler)
         finally:
             with contextlib.suppress(Exception):
                 client.close(timeout=_FAREWELL_S)
@@ -79,26 +105,31 @@ def _connect(scheduler: str) -> Any:
 
 def _series(
     client: Any,
-    scenes: Sequence[Scene],
-    root: Path,
+    body: Body,
+    tasks: Sequence[tuple[Any, ...]],
+    ended: Callable[..., Any],
     on_progress: Callable[[int, Any], None] | None,
+    look: Callable[[], None],
     scheduler: str,
-    task: Callable[..., RunResult] | None,
-) -> Iterator[tuple[int, RunResult]]:
+) -> Iterator[tuple[int, Any]]:
     events: SimpleQueue[tuple[str, int, Any]] = SimpleQueue()
     topic = f"lacli-{uuid4().hex}"
-    trials, running = Trials(scenes, root), {}
+    running: dict[int, Any] = {}
 
     def submit(index: int) -> None:
-        future = client.submit(_on_worker, task, scenes[index], root, index, topic, pure=False)
-        future.add_done_callback(lambda ended: events.put(("done", index, ended)))
+        future = client.submit(_on_worker, body, tasks[index], index, topic, pure=False)
+        future.add_done_callback(lambda settled: events.put(("done", index, settled)))
         running[index] = future
 
     client.subscribe_topic(topic, lambda event: events.put(("progress", *_unpacked(event[1]))))
     try:
-        for index in range(len(scenes)):
+        for index in range(len(tasks)):
             submit(index)
+        looked = time.monotonic()
         while running:
+            if time.monotonic() - looked > _LOOK_EVERY_S:
+                looked = time.monotonic()
+                look()
             try:
                 kind, index, content = events.get(timeout=_LOOK_EVERY_S)
             except Empty:
@@ -118,7 +149,7 @@ def _series(
             if word == "result":
                 yield index, message
                 continue
-            given_up = trials.ended(index, *message)
+            given_up = ended(index, *message)
             if given_up is None:
                 submit(index)
             else:
@@ -149,8 +180,8 @@ def _outcome(future: Any) -> tuple[str, Any]:
     return "error", error
 
 
-def _on_worker(task: Callable[..., RunResult] | None, scene: Scene, root: Path, index: int, topic: str) -> tuple[str, Any]:
-    """Body of a task, in a thread of a worker; ends FreeFEM when the task is no longer wanted or the worker closes."""
+def _on_worker(body: Body, arguments: tuple[Any, ...], index: int, topic: str) -> tuple[str, Any]:
+    """A task, in a thread of a worker; it is told when it is no longer wanted or the worker closes."""
     from distributed import Status, get_worker
 
     worker = get_worker()
@@ -164,8 +195,15 @@ def _on_worker(task: Callable[..., RunResult] | None, scene: Scene, root: Path, 
         with contextlib.suppress(Exception):  # progress is a courtesy
             worker.log_event(topic, _packed(index, event))
 
+    return body(send, wanted, *arguments)
+
+
+def _run(
+    report: Callable[[Any], None], wanted: Callable[[], bool], task: Callable[..., RunResult] | None, scene: Scene, root: Path
+) -> tuple[str, Any]:
+    """A run; FreeFEM is ended when it is no longer wanted."""
     with while_wanted(wanted):
-        return done(task or run_scene_of_lacli(), scene, root, reporter(send, _PROGRESS_EVERY_S))
+        return done(task or run_scene_of_lacli(), scene, root, reporter(report, _PROGRESS_EVERY_S))
 
 
 def _packed(index: int, event: Any) -> dict[str, Any]:

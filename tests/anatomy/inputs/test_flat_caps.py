@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import pyvista as pv
 from shapes import icosphere
 
 from lacli.anatomy.cuts.clipping import cut
@@ -37,13 +38,12 @@ def test_each_disc_is_found_and_nothing_else(count: int) -> None:
         assert ball.areas()[mask].sum() == pytest.approx(disc, rel=0.05)
 
 
-def test_long_flats_and_blunt_ones_are_no_openings() -> None:
-    # a box of 40 x 10 x 10 mm: its long sides are 4 times as long as wide (roundness 4 pi 4 / 100 = 0.50), its ends square
-    corners = np.array([[x, y, z] for x in (0, 41.0) for y in (0, 10.0) for z in (0, 10.0)])
-    quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
-    triangles = np.array([t for q in quads for t in ([q[0], q[1], q[2]], [q[0], q[2], q[3]])])
-    assert len(flat_caps(corners, triangles)) == 2
-    assert flat_caps(*_of(icosphere(20.0, 1))) == []  # faces of 10 mm that meet at 18 degrees or less
+def test_facets_and_long_flats_are_no_openings() -> None:
+    assert flat_caps(*_of(icosphere(20.0, 1))) == []  # 60 mm2 each, at sharp angles
+    # sides 4 and 13 times as long as wide (4 pi 4 / 10^2 = 0.50), ends of 10 mm x 3 mm (4 pi 30 / 26^2 = 0.56)
+    grid = np.array([[x, y, 0.0] for x in range(0, 41, 2) for y in range(0, 11, 2)])
+    box = pv.PolyData(grid).delaunay_2d().extrude([0, 0, 3.0], capping=True).triangulate().clean()
+    assert flat_caps(np.asarray(box.points, float), box.regular_faces) == []
 
 
 def _of(surface: Surface) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,166 @@
+"""The law of Laplace beside a run's wall stress at end-systole, by region.
+
+A closed membrane of mean curvature H under a pressure p carries sigma = p / (2 t H) along itself, t its thickness. Of the run,
+the stress is the material's at the deformation from the unloaded wall. Its volumetric part is a multiplier that displacements do
+not tell; so what is compared is the stress along the wall less that across it, which is free of that part: (tr - 3 n.n) / 2 of
+Cauchy's, n the direction across. Across, a wall between p and nothing carries -p / 2 in the mean, so that the membrane's is
+p / (2 t H) + p / 2. Springs and neighbours that bear on the wall are not in the law; nor is bending, nor unequal curvatures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import meshio
+import numpy as np
+
+from lacli.anatomy.wall.thickness import of_bundle
+from lacli.base.arrays import FloatArray, IntArray
+from lacli.base.errors import InputError
+from lacli.contracts.bundle import Bundle, load
+from lacli.contracts.labels import BODY_REGIONS, ENDO, REGIONS
+from lacli.contracts.scene import load_scene
+from lacli.contracts.sections import MMHG_KPA
+from lacli.geometry.tetrahedra import volumes
+from lacli.geometry.triangles import area_normals
+from lacli.mechanics.features import cell_gradient
+from lacli.mechanics.inputs import Cell, material_table
+from lacli.verification.runs import respond
+
+_FAILS = 1.5  # a ratio beyond it, or below its inverse: there the law fails
+
+
+@dataclass(frozen=True)
+class Region:
+    """A region at end-systole: stress along the wall less across (kPa) of the run and by the law, thickness and radius (mm)."""
+
+    region: str
+    stress_kpa: float
+    laplace_kpa: float
+    thickness_mm: float
+    radius_mm: float
+
+    @property
+    def ratio(self) -> float:
+        """The run's stress over the law's."""
+        return self.stress_kpa / self.laplace_kpa
+
+    @property
+    def fails(self) -> bool:
+        """Whether the law is off by more than half."""
+        return not 1 / _FAILS <= self.ratio <= _FAILS
+
+
+@dataclass(frozen=True)
+class LaplaceStudy:
+    """Regions; correlation and slope (through nought) of the run's stress with the law's; pressure, kPa."""
+
+    regions: tuple[Region, ...]
+    correlation: float
+    slope: float
+    pressure_kpa: float
+
+
+def of_run(run: Path) -> LaplaceStudy:
+    """The comparison for the folder of a run that kept its fields and found its unloaded state. Raises InputError, AnatomyError,
+    SolverMissingError, SimulationError."""
+    file = run / "fields" / "es.vtu"
+    if not file.is_file():
+        raise InputError(f'{file}: no such file; simulate with outputs.fields = "es".')
+    scene = load_scene(run / "scene.toml")
+    bundle = load(Path(scene.anatomy.bundle))
+    mesh = meshio.read(file)
+    if "displacement_from_unloaded" not in mesh.point_data:
+        raise InputError(f"{run}: its unloaded state is not known; simulate with outputs.unloaded = true.")
+    x = np.asarray(mesh.points, float)
+    if len(x) != len(bundle.points):
+        raise InputError(f"{run}: its fields have {len(x)} points, its bundle {len(bundle.points)}: they are not of one another.")
+    free = x - np.asarray(mesh.point_data["displacement_from_unloaded"], float)
+    materials = material_table(bundle, scene.materials, scene.numerics.kappa_points_kpa)
+    pressure = scene.loads.esp_mmhg * MMHG_KPA
+    deformed = replace(bundle, points=x)
+    stress = along_less_across(bundle, materials, free, x)
+    thickness = {name: lap for name, (_, lap) in of_bundle(deformed).per_region.items()}
+    return compared(stress, by_law(deformed, thickness, pressure), pressure)
+
+
+def along_less_across(bundle: Bundle, materials: FloatArray, free: FloatArray, x: FloatArray) -> dict[str, float]:
+    """Mean over each region of the stress along the wall less that across, kPa, for positions (n, 3) without load and with."""
+    if bundle.transmural is None:
+        raise InputError("the bundle has no transmural coordinate: what is across the wall is not known.")
+    body = np.isin(bundle.region, [REGIONS[name] for name in BODY_REGIONS])
+    gradient = cell_gradient(bundle, free, x)[body]
+    table = materials[body][:, : Cell.STABILISATION]
+    _, piola, _, _, _ = respond(table, gradient, np.zeros(len(gradient)))
+    cauchy = piola @ np.swapaxes(gradient, 1, 2) / np.linalg.det(gradient)[:, None, None]
+    corners = bundle.tets[body, :4]
+    rise = bundle.transmural[corners[:, 1:]] - bundle.transmural[corners[:, :1]]
+    across = np.linalg.solve(x[corners[:, 1:]] - x[corners[:, :1]], rise[..., None])[..., 0]
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    through = np.einsum("mi,mij,mj->m", across, cauchy, across)
+    value = 0.5 * (np.trace(cauchy, axis1=1, axis2=2) - 3 * through)
+    weight = np.abs(volumes(x, corners))
+    region = bundle.region[body]
+    return {
+        name: float(np.average(value[region == REGIONS[name]], weights=weight[region == REGIONS[name]]))
+        for name in BODY_REGIONS
+        if (region == REGIONS[name]).any()
+    }
+
+
+def by_law(deformed: Bundle, thickness: Mapping[str, float], pressure: float) -> dict[str, tuple[float, float, float]]:
+    """By region: the law's stress less that across (kPa), thickness and radius of mean curvature (mm)."""
+    inner = deformed.triangles[deformed.tags == ENDO][:, :3]
+    owner = _regions_of(deformed, inner)
+    found = {}
+    for name, t in thickness.items():
+        if name not in BODY_REGIONS or not (owner == REGIONS[name]).any():
+            continue
+        # normals point out of the wall, into the cavity
+        curvature = mean_curvature(deformed.points, inner[:, ::-1], owner == REGIONS[name])
+        found[name] = (pressure / (2 * t) / curvature + pressure / 2, t, 1 / curvature)
+    return found
+
+
+def mean_curvature(points: FloatArray, triangles: IntArray, inside: np.ndarray) -> float:
+    """Mean of (k1 + k2) / 2 over the triangles ``inside``, 1/mm, positive where the surface bulges towards its normals.
+
+    Of a surface of flat triangles the integral of the mean curvature stands in the edges: half of the angle between the
+    normals times the length (Steiner's formula); an edge between inside and outside counts half.
+    """
+    normals = area_normals(points[triangles])
+    area = 0.5 * np.linalg.norm(normals, axis=1)
+    unit = normals / (2 * area)[:, None]
+    directed = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    owner = np.repeat(np.arange(len(triangles)), 3)
+    place = {(int(a), int(b)): k for (a, b), k in zip(directed, owner, strict=True)}
+    total = 0.0
+    for (a, b), k in zip(directed, owner, strict=True):
+        other = place.get((int(b), int(a)))
+        if a > b or other is None:
+            continue
+        edge = points[b] - points[a]
+        length = float(np.linalg.norm(edge))
+        angle = float(np.arctan2(np.cross(unit[k], unit[other]) @ edge / length, unit[k] @ unit[other]))
+        total += 0.25 * angle * length * (float(inside[k]) + float(inside[other]))
+    return total / float(area[inside].sum())
+
+
+def compared(stress: Mapping[str, float], law: Mapping[str, tuple[float, float, float]], pressure: float) -> LaplaceStudy:
+    """Both by region, and how they go together."""
+    rows = tuple(Region(name, stress[name], *law[name]) for name in stress if name in law)
+    if len(rows) < 3:
+        raise InputError(f"{len(rows)} regions have both stresses; at least 3 are compared.")
+    a, b = (np.array([getattr(row, key) for row in rows]) for key in ("laplace_kpa", "stress_kpa"))
+    return LaplaceStudy(rows, float(np.corrcoef(a, b)[0, 1]), float(a @ b / (a @ a)), pressure)
+
+
+def _regions_of(bundle: Bundle, triangles: IntArray) -> IntArray:
+    """The region of the cell behind each triangle."""
+    from lacli.geometry.tetrahedra import boundary_faces
+
+    faces, cells = boundary_faces(bundle.tets[:, :4])
+    of = {tuple(sorted(map(int, face))): int(bundle.region[cell]) for face, cell in zip(faces[:, :3], cells, strict=True)}
+    return np.array([of[tuple(sorted(map(int, t)))] for t in triangles])

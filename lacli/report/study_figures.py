@@ -1,0 +1,64 @@
+"""Figures of the studies: displacement of shells against their thickness, stress of a run against the law of Laplace."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from lacli.base.files import replacing
+from lacli.contracts.labels import REGION_COLOURS
+from lacli.report.style import paper
+
+_OTHER = "#555555"
+
+
+def thickness_figure(shells: Sequence[Mapping[str, Any]], files: Sequence[Path]) -> None:
+    """Displacement of the patch's place against its thickness there, both logarithmic: a line for pressure alone and one on
+    springs, uniform shells filled, thin patches open."""
+    with paper():
+        import matplotlib.pyplot as plt
+
+        figure, axis = plt.subplots(figsize=(3.5, 2.9))
+        for number, springs in enumerate(sorted({s["springs_kpa_per_mm"] for s in shells})):
+            colour = ("#0072B2", "#D55E00")[number % 2]
+            name = f"on springs, {springs:g} kPa/mm" if springs else "pressure alone"
+            for patch in (False, True):
+                mine = sorted(
+                    (s["patch_mm"], s["patch_displacement_mm"])
+                    for s in shells
+                    if s["springs_kpa_per_mm"] == springs and (s["patch_mm"] < s["thickness_mm"]) == patch
+                )
+                face, line = ("white", "--") if patch else (colour, "-")
+                label = f"{name}, {'thin patch' if patch else 'uniform'}"
+                axis.plot(
+                    *zip(*mine, strict=True), line, marker="o", color=colour, markerfacecolor=face, markersize=4, label=label
+                )
+        axis.set(xscale="log", yscale="log", xlabel="thickness around the apex (mm)", ylabel="displacement around the apex (mm)")
+        axis.legend(fontsize=7)
+        _save(figure, files)
+
+
+def laplace_figure(stresses: Mapping[str, tuple[float, float]], slope: float, files: Sequence[Path]) -> None:
+    """The run's stress against the law's, kPa, a marker a region, with the line of identity and the slope through nought."""
+    with paper():
+        import matplotlib.pyplot as plt
+
+        figure, axis = plt.subplots(figsize=(3.5, 3.0))
+        most = 1.1 * max(value for pair in stresses.values() for value in pair)
+        axis.plot([0, most], [0, most], color="0.6", linewidth=0.8, label="the law")
+        axis.plot([0, most], [0, slope * most], "--", color="0.3", linewidth=0.8, label=f"slope {slope:.2g}")
+        for region, (law, run) in stresses.items():
+            axis.plot(law, run, "o", color=REGION_COLOURS.get(region, _OTHER), markersize=5, label=region)
+        axis.set(xlabel="law of Laplace (kPa)", ylabel="wall stress along less across (kPa)", xlim=(0, most), ylim=(0, most))
+        axis.legend(fontsize=7, ncols=2)
+        _save(figure, files)
+
+
+def _save(figure: Any, files: Sequence[Path]) -> None:
+    import matplotlib.pyplot as plt
+
+    for file in files:
+        with replacing(file) as temporary:
+            figure.savefig(temporary)
+    plt.close(figure)

@@ -1,0 +1,147 @@
+"""The studies of thickness and of the law of Laplace: against closed forms, and on small cases as commands."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from lacli.api import questions
+from lacli.base.errors import InputError, UsageError
+from lacli.cli import main
+from lacli.cohort.studies import laplace, thickness
+from lacli.contracts.labels import BODY_REGIONS, ENDO, EPI, REGIONS
+from lacli.verification import meshes
+from lacli.verification.equilibria import SPHERE_C, SPHERE_RADII, sphere_pressure
+from lacli.verification.runs import NEO_HOOKEAN, material
+
+
+@pytest.fixture(scope="module")
+def shell() -> tuple[object, np.ndarray, float]:
+    """A whole thick sphere at rest, as a bundle of one region, its exact inflated positions and the pressure."""
+    at_rest = meshes.sphere(*SPHERE_RADII, 3.0, octant=False)
+    radius = np.linalg.norm(at_rest.points, axis=1)
+    inner, outer = SPHERE_RADII
+    wanted = 12.0
+    # incompressible: r^3 - R^3 is the same everywhere
+    x = at_rest.points * ((radius**3 + wanted**3 - inner**3) ** (1 / 3) / radius)[:, None]
+    tags = np.where(at_rest.tags == meshes.INNER, ENDO, EPI)
+    bundle = replace(
+        at_rest, tags=tags, region=np.full(len(at_rest.tets), REGIONS["roof"]), transmural=(radius - inner) / (outer - inner)
+    )
+    return bundle, x, sphere_pressure(wanted)
+
+
+def test_a_sphere_has_the_curvature_of_its_radius(shell: tuple[object, np.ndarray, float]) -> None:
+    bundle, x, _ = shell
+    triangles = bundle.triangles[bundle.tags == ENDO][:, :3]  # type: ignore[attr-defined]
+    # normals out of the wall point to the centre: the other way round the sphere bulges towards its normals
+    found = laplace.mean_curvature(x, triangles[:, ::-1], np.ones(len(triangles), bool))
+    assert 1 / found == pytest.approx(12.0, rel=0.03)
+    half = x[triangles].mean(axis=1)[:, 2] > 0
+    assert 1 / laplace.mean_curvature(x, triangles[:, ::-1], half) == pytest.approx(12.0, rel=0.04)
+
+
+def test_the_stress_of_a_thick_sphere_is_that_of_its_equilibrium(shell: tuple[object, np.ndarray, float]) -> None:
+    # equilibrium along r: p = integral of 2 (s_along - s_across) / r dr from the inner to the outer radius a, b of the inflated
+    # sphere; the mean over the volume follows from the same closed form, s_along - s_across = 2 c (l^2 - l^-4), l = r / R
+    bundle, x, pressure = shell
+    c = SPHERE_C
+    materials = np.broadcast_to(material(NEO_HOOKEAN, c), (len(bundle.tets), 12))  # type: ignore[attr-defined]
+    found = laplace.along_less_across(bundle, materials, bundle.points, x)["roof"]  # type: ignore[attr-defined, arg-type]
+    at_rest = np.linspace(*SPHERE_RADII, 2001)
+    r = (at_rest**3 + 12.0**3 - SPHERE_RADII[0] ** 3) ** (1 / 3)
+    stretch = r / at_rest
+    exact = 2 * c * (stretch**2 - stretch**-4)
+    assert np.trapezoid(2 * exact / r, r) == pytest.approx(pressure, rel=1e-5)
+    mean = np.trapezoid(exact * r**2, r) / np.trapezoid(r**2, r)
+    assert found == pytest.approx(mean, rel=0.04)  # straight cells of 3 mm
+    # the law, made for thin walls, is within a quarter of it where the thickness is a third of the radius
+    law = pressure * 12.0 / (2 * (r[-1] - r[0])) + pressure / 2
+    assert mean == pytest.approx(law, rel=0.25)
+
+
+def test_regions_are_compared() -> None:
+    law = {name: (10.0 * k, 2.0, 20.0) for k, name in enumerate(BODY_REGIONS, start=1)}
+    stress = {name: 0.5 * values[0] for name, values in law.items()}
+    found = laplace.compared(stress, law, 2.0)
+    assert (found.slope, found.correlation) == pytest.approx((0.5, 1.0))
+    assert all(row.ratio == pytest.approx(0.5) and row.fails for row in found.regions)
+    with pytest.raises(InputError, match="2 regions"):
+        laplace.compared(stress, dict(list(law.items())[:2]), 2.0)
+
+
+def test_a_patch_is_as_thin_as_asked() -> None:
+    bundle = thickness.shell(2.0, 0.5, 8.0)
+    radius = np.linalg.norm(bundle.points, axis=1)
+    apex = np.linalg.norm(bundle.points[:, :2], axis=1) < 1e-9
+    assert sorted(radius[apex])[0] == pytest.approx(20.0) and sorted(radius[apex])[-1] == pytest.approx(21.0)
+    rim = np.abs(bundle.points[:, 2]) < 1e-9
+    assert radius[rim].max() == pytest.approx(22.0)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (["shape"], "no such study"),
+        (["laplace"], "the folder of a run"),
+        (["thickness", "--thickness-mm", "2"], "at least two thicknesses"),
+        (["thickness", "--thickness-mm", "2", "--thickness-mm", "90"], "0.3 to 8 mm"),
+        (["laplace", ".", "--thickness-mm", "2"], "run's own wall"),
+    ],
+)
+def test_bad_calls_are_one_message(tmp_path: Path, call: list[str], words: str) -> None:
+    shown = CliRunner().invoke(main.build({"study"}), ["study", *call, "--out", str(tmp_path / "x")])
+    assert isinstance(shown.exception, UsageError) and words in str(shown.exception)
+
+
+def test_a_run_without_fields_is_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file; simulate with"):
+        questions.study("laplace", tmp_path)
+
+
+@pytest.mark.slow
+def test_thickness_matters_less_on_springs(tmp_path: Path) -> None:
+    call = ["study", "thickness", "--thickness-mm", "1", "--thickness-mm", "3", "--out", str(tmp_path), "--json"]
+    shown = CliRunner().invoke(main.build({"study"}), call)
+    assert shown.exit_code == 0, shown.output
+    found = json.loads(shown.stdout)
+    # thicker moves less; the law stiffens, so less than a linear membrane's exponent of -1; on springs hardly
+    assert -1.0 < found["slope"] < -0.15 < found["slope_on_springs"] < 0.0
+    table = pd.read_csv(tmp_path / "thickness.csv")
+    assert len(table) == 8
+    alone = table[table["springs_kpa_per_mm"] == 0].set_index(["thickness_mm", "patch_mm"])["patch_displacement_mm"]
+    assert alone[1.0, 0.5] > alone[1.0, 1.0] and alone[3.0, 1.5] > alone[3.0, 3.0]
+    d = table[(table["springs_kpa_per_mm"] == 0) & (table["patch_mm"] == table["thickness_mm"])].set_index("thickness_mm")
+    d = d["displacement_mm"]
+    assert found["slope"] == pytest.approx(math.log(d[3.0] / d[1.0]) / math.log(3.0), rel=1e-6)
+    assert all((tmp_path / f"thickness.{suffix}").stat().st_size > 1000 for suffix in ("png", "pdf", "svg"))
+
+
+@pytest.mark.slow
+def test_laplace_on_the_synthetic_atrium(tmp_path: Path) -> None:
+    import lacli
+
+    lacli.synthesize(tmp_path / "atrium", cell_size_mm=8.0, order=1)
+    (tmp_path / "scene.toml").write_text(
+        '[anatomy]\nbundle = "atrium"\n[numerics]\norder = 1\n[outputs]\nframes = 0\nfields = "es"\nunloaded = true\n'
+    )
+    run = lacli.simulate(lacli.load_scene(tmp_path / "scene.toml"), store=tmp_path / "runs")
+    assert run.status == "done", run.message
+    found = questions.study("laplace", run.folder, out=tmp_path / "laplace")
+    assert [row.region for row in found.regions] == list(BODY_REGIONS)  # type: ignore[union-attr]
+    table = pd.read_csv(tmp_path / "laplace" / "laplace.csv").set_index("region")
+    # a wall of 2 mm that stretches and thins; springs and annulus carry a part of the load, so less than the law says
+    assert (table["thickness_mm"].between(1.2, 2.0)).all() and (table["stress_kpa"] > 0).all()
+    assert table["ratio"].median() < 1.0
+    pressure = json.loads((tmp_path / "laplace" / "laplace.json").read_text())["pressure_kpa"]
+    roof = table.loc["roof"]
+    law = pressure * roof["radius_mm"] / (2 * roof["thickness_mm"]) + pressure / 2
+    assert roof["laplace_kpa"] == pytest.approx(law, rel=1e-9)
+    assert (tmp_path / "laplace" / "laplace.png").is_file()

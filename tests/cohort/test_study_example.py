@@ -1,0 +1,64 @@
+"""examples/study.sh from the cohort to the report; installing is not its subject, so that a stand-in takes its place."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+INSTALLED = """
+ROOT="{root}"
+BIN="{bin}"
+PYTHON="{python}"
+say() {{ printf '== %s\\n' "$*"; }}
+die() {{ printf 'lacli: %s\\n' "$*" >&2; exit 1; }}
+install_lacli() {{ :; }}
+"""
+
+
+def call(tmp_path: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    home, programs = tmp_path / "examples", tmp_path / "bin"
+    for folder in (home, programs):
+        folder.mkdir(exist_ok=True)
+    shutil.copy(ROOT / "examples" / "study.sh", home)
+    (home / "install.sh").write_text(INSTALLED.format(root=ROOT, bin=programs, python=sys.executable))
+    (programs / "lacli").write_text(f'#!/bin/bash\nexec "{sys.executable}" -m lacli "$@"\n')
+    (programs / "lacli").chmod(0o755)
+    settings = tmp_path / "settings.toml"
+    settings.write_text("[calibrate]\nmax-runs = 24\ness = 200\nfigures = false\n[compare]\nparticles = 150\n")
+    paths = os.pathsep.join(p for p in (str(ROOT), os.environ.get("PYTHONPATH", "")) if p)
+    environment = {**os.environ, "PYTHONPATH": paths, "CELL_MM": "10", "SETTINGS": str(settings)}
+    return subprocess.run(
+        ["bash", str(home / "study.sh"), *words], env=environment, capture_output=True, text=True, check=False, timeout=1500
+    )
+
+
+@pytest.mark.slow
+def test_the_study_ends_with_a_report_and_goes_on(tmp_path: Path) -> None:
+    told = call(tmp_path, str(tmp_path / "results"), "2")
+    page = tmp_path / "results" / "heterogeneous" / "report.html"
+    assert page.is_file(), told.stdout[-2000:] + told.stderr[-2000:]
+    assert "== done: pages are" in told.stdout and "truths inside 95 % intervals" in told.stdout
+    study = tmp_path / "results" / "heterogeneous" / "study"
+    assert list(pd.read_csv(study / "patients.csv")["status"]) == ["done", "done"]
+    text = page.read_text()
+    assert text.count("data:image/png;base64,") >= 3 and "sub-02" in text
+    # what the participants' table gives, and what the bundle's cavity has: the same atrium
+    anatomies = pd.read_csv(study / "anatomies.csv")
+    assert anatomies["ed_volume_ml_measured"].tolist() == pytest.approx(anatomies["ed_volume_ml_given"].tolist(), abs=0.06)
+    assert all((study.parent / "report_figures" / f"gallery.{suffix}").is_file() for suffix in ("png", "pdf", "svg"))
+    made = {file: file.stat().st_mtime_ns for file in study.glob("*/calibration/result.json")}
+    again = call(tmp_path, str(tmp_path / "results"), "2")
+    assert again.returncode == told.returncode, again.stderr[-2000:]
+    assert {file: file.stat().st_mtime_ns for file in made} == made, "found, not done again"
+
+
+def test_the_number_of_patients_is_a_number(tmp_path: Path) -> None:
+    told = call(tmp_path, str(tmp_path / "results"), "many")
+    assert told.returncode == 1 and told.stderr == "lacli: many patients; a whole number, 1 or more.\n"
