@@ -151,20 +151,28 @@ def api_page() -> str:
     import inspect
 
     import lacli
+    import lacli.types
 
     text = MADE + "# Python\n\nWhat a command does is one call, with `progress` and `cancel` as arguments; "
-    text += "`examples/api.py` goes the whole way.\n"
-    names = [name for name in lacli.__all__ if name != "__version__"]
-    verbs = [name for name in names if inspect.isfunction(getattr(lacli, name))]
-    for title, chosen in (("Verbs", verbs), ("Types", [name for name in names if name not in verbs])):
-        text += f"\n## {title}\n"
-        for name in chosen:
-            one = getattr(lacli, name)
-            first, _, rest = (inspect.getdoc(one) or "").partition("\n\n")
+    text += (
+        "`examples/api.py` goes the whole way.\nTypes of results and of settings, and what reads files, are in `lacli.types`.\n"
+    )
+    modules = (lacli, lacli.types)
+    found = [(module, name, getattr(module, name)) for module in modules for name in module.__all__ if name != "__version__"]
+
+    def title(module: Any, one: Any) -> str:
+        return "Types" if not inspect.isfunction(one) else "Verbs" if module is lacli else "Files"
+
+    for part in ("Verbs", "Files", "Types"):
+        text += f"\n## {part}\n"
+        for module, name, one in found:
+            if title(module, one) != part:
+                continue
             text += f"\n### {name}\n\n"
-            if name in verbs:
-                text += f"```python\n{_signature(name, one)}\n```\n\n"
-            text += "".join(plain(" ".join(part.replace("``", "`").split())) + "\n\n" for part in (first, rest) if part)
+            if inspect.isfunction(one):
+                text += f"```python\n{_signature(f'{module.__name__}.{name}', one)}\n```\n\n"
+            for paragraph in (inspect.getdoc(one) or "").split("\n\n"):
+                text += plain(" ".join(paragraph.replace("``", "`").split())) + "\n\n"
     return text.rstrip() + "\n"
 
 
@@ -174,8 +182,8 @@ def _signature(name: str, verb: Any) -> str:
 
     given = inspect.signature(verb).parameters.values()
     lines = [p.name if p.default is p.empty else f"{p.name}={_shown(p.default)}" for p in given]
-    short = f"lacli.{name}({', '.join(lines)})"
-    return short if len(lines) < 3 else "\n".join([f"lacli.{name}(", *(f"    {line}," for line in lines), ")"])
+    short = f"{name}({', '.join(lines)})"
+    return short if len(lines) < 3 else "\n".join([f"{name}(", *(f"    {line}," for line in lines), ")"])
 
 
 def _shown(value: Any) -> str:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 import lacli
+import lacli.types
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "results/api")
 
@@ -58,7 +59,7 @@ fields = "none"
 """,
     encoding="utf-8",
 )
-scene = lacli.load_scene(folder / "scene.toml", ["materials.alpha.roof=2.0"])
+scene = lacli.types.load_scene(folder / "scene.toml", ["materials.alpha.roof=2.0"])
 truth = {"alpha_roof": 2.0, "alpha_posterior": 1.0}
 
 # %% [markdown]
@@ -73,7 +74,7 @@ print(", ".join(f"{name} {value:.2f}" for name, value in measured.items()))
 # Many simulations: a design that fills the box of two inputs, and its runs. A second call goes on with what is there.
 
 # %%
-box = lacli.make_box(list(truth), [0.5, 0.5], [4.0, 4.0])
+box = lacli.types.make_box(list(truth), [0.5, 0.5], [4.0, 4.0])
 runs = lacli.design(folder / "runs.csv", scene=scene, count=20, box=box, store=folder / "runs", progress=say)
 print(f"{len(runs.x) - runs.failed} of {len(runs.x)} runs finished")
 
@@ -81,7 +82,7 @@ print(f"{len(runs.x) - runs.failed} of {len(runs.x)} runs finished")
 # Emulators of the features, with the scores of their cross-validation.
 
 # %%
-table = lacli.read_one(runs.table, box.names, list(measured))
+table = lacli.types.read_one(runs.table, box.names, list(measured))
 made = lacli.emulate(table, box=box, progress=say)
 for score in made.scores:
     print(f"{score.output}: R2 {score.r2:.4f}, within two standard deviations {score.ise:.0%}")
@@ -100,7 +101,7 @@ left = lacli.match(made.emulators, targets, box=box, count=1000, following=4, pr
 print(f"{left.match.share:.1%} of the box is not ruled out")
 
 # %%
-settings = lacli.SamplingSettings(ess=400.0, rhat=1.05)
+settings = lacli.types.SamplingSettings(ess=400.0, rhat=1.05)
 answer = lacli.posterior(made.emulators, targets, folder / "posterior", box=box, settings=settings, progress=say)
 for text in answer.warnings:
     print("warning:", text)

@@ -30,3 +30,9 @@ def test_scripts_beside_the_rooms_are_small_too() -> None:
     assert scripts
     lines = {file.name: len(file.read_text(encoding="utf-8").splitlines()) for file in scripts}
     assert {name: count for name, count in lines.items() if count > MOST_LINES} == {}
+
+
+def test_every_room_within_a_room_is_told() -> None:
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rooms = [str(folder.relative_to(ROOT)) for folder in FOLDERS]
+    assert [room for room in rooms if room.startswith("lacli/") and room.count("/") > 1 and f"`{room}`" not in text] == []

@@ -1,67 +1,145 @@
-"""Calibration in one call each: of a patient, and against known parameters."""
+"""The calibration of a patient in one call, its forecast, and its proof against known parameters."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, overload
 
-from lacli.api.posterior import check_prior
-from lacli.api.progress import Cancel, OnProgress, Stage
 from lacli.base.errors import UsageError
 
 if TYPE_CHECKING:
-    from lacli.base.arrays import FloatArray
-    from lacli.calibration.calibration import Calibration, Settings, Status
-    from lacli.calibration.simulator import SceneSimulator
-    from lacli.calibration.synthetic_truth import Recovery
-    from lacli.contracts.identity import Identity
+    from lacli.api.methods.calibrated import Calibrated, Recovered
+    from lacli.api.progress import Cancel, OnProgress
+    from lacli.calibration.calibration import Settings as PublishedSettings
+    from lacli.calibration.price import Price
+    from lacli.calibration.sequential.draw.information import Forecast
+    from lacli.calibration.sequential.search import Settings as SequentialSettings
     from lacli.contracts.scene import Scene
     from lacli.contracts.targets import Targets
     from lacli.inference.box import Box
 
-WAVES = "runs"  # the folder of the simulations in a calibration's own
-REFUSED = "the most probable point misses a target by more than the threshold: this is no answer. Check the targets."
 
-
-@dataclass(frozen=True)
-class Calibrated:
-    """A calibration (waves, chain, most probable point (d,), fit), the folder of its files, and how far it may be believed.
-
-    notes: what was met on the way; warnings: what a user must know of the answer; refused: why it is none, empty where it
-    is one; pictures: those drawn.
-    """
-
-    folder: Path
-    result: Calibration
-    notes: tuple[str, ...]
-    warnings: tuple[str, ...]
-    refused: str
-    pictures: tuple[Path, ...]
-
-
-@dataclass(frozen=True)
-class Recovered:
-    """Calibrations against a simulation at known parameters, one by noise level, and the folder of their files.
-
-    Rows of a level are in the units of the inputs' names: truth, 95 % interval, most probable value, and whether the truth
-    is inside.
-    """
-
-    folder: Path
-    levels: tuple[Recovery, ...]
-    pictures: tuple[Path, ...]
-
-
+@overload
 def calibrate(
     scene: Scene | None,
     targets: Targets,
     folder: Path,
     *,
+    dry_run: Literal[False] = ...,
+    forecast: Literal[False] = ...,
+    method: Literal["sequential", "published"] | None = ...,
+    truth: Mapping[str, float] | None = ...,
+    table: Path | None = ...,
+    box: Box | None = ...,
+    settings: SequentialSettings | PublishedSettings | None = ...,
+    store: Path | None = ...,
+    workers: int | None = ...,
+    scheduler: str | None = ...,
+    sensitivities: bool = ...,
+    fresh: bool = ...,
+    retry: bool = ...,
+    discretisation: bool = ...,
+    cheap: Sequence[str] = ...,
+    figures: bool = ...,
+    progress: OnProgress | None = ...,
+    cancel: Cancel | None = ...,
+) -> Calibrated: ...
+
+
+@overload
+def calibrate(
+    scene: Scene | None,
+    targets: Targets,
+    folder: Path,
+    *,
+    dry_run: Literal[False] = ...,
+    forecast: Literal[True],
+    method: Literal["sequential", "published"] | None = ...,
+    truth: Mapping[str, float] | None = ...,
+    table: Path | None = ...,
+    box: Box | None = ...,
+    settings: SequentialSettings | PublishedSettings | None = ...,
+    store: Path | None = ...,
+    workers: int | None = ...,
+    scheduler: str | None = ...,
+    sensitivities: bool = ...,
+    fresh: bool = ...,
+    retry: bool = ...,
+    discretisation: bool = ...,
+    cheap: Sequence[str] = ...,
+    figures: bool = ...,
+    progress: OnProgress | None = ...,
+    cancel: Cancel | None = ...,
+) -> Forecast: ...
+
+
+@overload
+def calibrate(
+    scene: Scene | None,
+    targets: Targets,
+    folder: Path,
+    *,
+    dry_run: Literal[True],
+    forecast: Literal[False] = ...,
+    method: Literal["sequential", "published"] | None = ...,
+    truth: Mapping[str, float] | None = ...,
+    table: Path | None = ...,
+    box: Box | None = ...,
+    settings: SequentialSettings | PublishedSettings | None = ...,
+    store: Path | None = ...,
+    workers: int | None = ...,
+    scheduler: str | None = ...,
+    sensitivities: bool = ...,
+    fresh: bool = ...,
+    retry: bool = ...,
+    discretisation: bool = ...,
+    cheap: Sequence[str] = ...,
+    figures: bool = ...,
+    progress: OnProgress | None = ...,
+    cancel: Cancel | None = ...,
+) -> tuple[Price, ...]: ...
+
+
+@overload
+def calibrate(
+    scene: Scene | None,
+    targets: None,
+    folder: Path,
+    *,
+    dry_run: Literal[False] = ...,
+    forecast: Literal[False] = ...,
+    method: Literal["sequential", "published"] | None = ...,
+    truth: Mapping[str, float] | None = ...,
+    table: Path | None = ...,
+    box: Box | None = ...,
+    settings: SequentialSettings | PublishedSettings | None = ...,
+    store: Path | None = ...,
+    workers: int | None = ...,
+    scheduler: str | None = ...,
+    sensitivities: bool = ...,
+    fresh: bool = ...,
+    retry: bool = ...,
+    discretisation: bool = ...,
+    cheap: Sequence[str] = ...,
+    figures: bool = ...,
+    progress: OnProgress | None = ...,
+    cancel: Cancel | None = ...,
+) -> Recovered: ...
+
+
+def calibrate(
+    scene: Scene | None,
+    targets: Targets | None,
+    folder: Path,
+    *,
+    dry_run: bool = False,
+    forecast: bool = False,
+    method: Literal["sequential", "published"] | None = None,
+    truth: Mapping[str, float] | None = None,
     table: Path | None = None,
     box: Box | None = None,
-    settings: Settings | None = None,
+    settings: SequentialSettings | PublishedSettings | None = None,
     store: Path | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
@@ -69,164 +147,64 @@ def calibrate(
     fresh: bool = False,
     retry: bool = False,
     discretisation: bool = True,
+    cheap: Sequence[str] = (),
     figures: bool = False,
     progress: OnProgress | None = None,
     cancel: Cancel | None = None,
-) -> Calibrated:
-    """The calibration of a patient: waves of runs, history matching, the posterior, and the run at its most probable point.
+) -> Calibrated | Forecast | Recovered | tuple[Price, ...]:
+    """The posterior of a patient's parameters, from simulations that are made where they tell most.
 
-    Targets and inputs are in the units of their names. scene: what is run; or None, with a ``table`` of inputs and outputs
-    of runs done elsewhere. box: ranges of the inputs (default: the published ones of the 9 inputs, or the table's);
-    settings: runs, budgets, prior, sampling, seed; store: folder of the simulations (default: in ``folder``); workers:
-    simulations side by side here, scheduler: address of a Dask scheduler instead; sensitivities: whether runs tell their
-    derivatives; fresh: start in a sub-folder where ``folder`` holds something else; retry: run again what the machine has ended
-    three times; discretisation: whether the targets' errors are widened by the scene's discretisation errors, measured or by
-    the model (no, where the targets come from the very same numerics; a table says its own). Called again it goes on, and
-    ends as if it had not been interrupted. Raises LacliError where no point of the box reaches the targets, UsageError,
-    TableError, AnatomyError, SolverMissingError, StorageError, Cancelled.
+    Targets and inputs are in the units of their names; targets at times of the cycle (``n_septum_mm@0.2``) make the frames of
+    the simulations. scene: what is run; or None, with a ``table`` of inputs and outputs of runs done elsewhere. method:
+    ``sequential``, to the posterior with the runs' derivatives (tens of runs), or ``published``, waves over the box (hundreds);
+    None: sequential where scene and settings let it. forecast: only what the targets can teach of each input, from the few
+    runs that the sequential method begins with; dry_run: only what it costs at most, by kind of run. targets: or None, and the
+    scene is simulated at known parameters, ``truth`` (those not named: away from centre and edges of the box), and calibrated
+    at two noise levels by the published method.
+
+    The prior is uniform on the box (default: the published ranges of the 9 inputs, or the table's). settings: runs, budgets,
+    sampling, seed, of the method; store: folder of the simulations (default: in ``folder``); workers: simulations side by side
+    here, scheduler: address of a Dask scheduler instead; sensitivities: whether runs tell their derivatives; fresh: start in a
+    sub-folder where ``folder`` holds something else; retry: run again what the machine has ended three times; discretisation:
+    whether the targets' errors are widened by the scene's discretisation errors, measured or by the model (no, where the
+    targets come from the very same numerics; a table says its own). cheap: of the sequential method, ``key=value`` of numerics
+    (``order=1``), or of ``anatomy.bundle`` (coarser cells): with them most runs are made, and about ten of the scene's own
+    (``settings.reference_runs`` at most) correct them. Called again it goes on, and ends as if it had not been
+    interrupted. Raises LacliError where no point of the box reaches the targets or too few runs finish, UsageError, TableError,
+    AnatomyError, SolverMissingError, StorageError, Cancelled.
     """
-    from lacli.base.files import superseded
-    from lacli.calibration.calibration import Settings
-    from lacli.calibration.calibration import calibrate as run_waves
-    from lacli.calibration.from_table import calibrate_table
-    from lacli.report import calibration_figures as drawing
+    from lacli.api.methods import published, sequential
+    from lacli.api.methods.calibrated import Work
+    from lacli.calibration.calibration import Settings as PublishedSettings
+    from lacli.calibration.sequential.search import Settings as SequentialSettings
 
+    work = Work(
+        box, store, workers, scheduler, sensitivities, fresh, retry, discretisation, figures, progress, cancel, tuple(cheap)
+    )
     if (scene is None) == (table is None):
         raise UsageError("calibrate: give either a scene to simulate, or a table of runs done elsewhere.")
-    settings = settings or Settings()
-    _check(settings, folder)
-    hear = _Listener(progress, cancel)
-    said: list[str] = []
-    if table is not None:
-        folder, result = calibrate_table(table, targets, box, settings, folder, fresh, hear)
-    else:
-        from lacli.base.processes.locks import working_on
-        from lacli.calibration.calibration import calibration_identity, obstacle
-        from lacli.inference.box import published_box
-        from lacli.inference.runs import RunLog, runs_identity
-        from lacli.mechanics.numerics.stated import MEASURED, said_of, with_discretisation
-
-        assert scene is not None
-        box = box or published_box()
-        if discretisation:
-            # what was measured is in the table of runs already, and reaches the likelihood from there
-            targets, stated = with_discretisation(targets, scene, but=MEASURED)
-            said = said_of(targets.names, stated)
-        run = _simulator(scene, store or folder / WAVES, workers, scheduler, targets.names, sensitivities)
-        of_runs = runs_identity(run, box.names, targets.names)
-        identity = calibration_identity(box, targets, settings, of_runs)
-        folder = _settle(folder, lambda place: obstacle(place, identity), of_runs, fresh)
-        with working_on(folder):
-            log = RunLog(folder / "runs.csv", box.names, targets.names, of_runs, retry)
-            result = run_waves(run, box, targets, settings, folder, log, monitor=hear)
-    superseded(folder, *drawing.FIGURES)
-    pictures: list[Path] = []
-    if figures:
-        hear.drawing()
-        pictures = drawing.draw_calibration(result, folder)
-    notes = tuple(dict.fromkeys([*said, *(note for wave in result.waves for note in wave.notes)]))
-    refused = "" if result.verdict.plausible else REFUSED
-    return Calibrated(folder, result, notes, tuple(result.verdict.warnings()), refused, tuple(pictures))
-
-
-def recover(
-    scene: Scene,
-    folder: Path,
-    *,
-    truth: Mapping[str, float] | None = None,
-    box: Box | None = None,
-    settings: Settings | None = None,
-    store: Path | None = None,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    fresh: bool = False,
-    figures: bool = False,
-    progress: OnProgress | None = None,
-    cancel: Cancel | None = None,
-) -> Recovered:
-    """What calibrations find of parameters that are known: the scene is simulated there, and calibrated at two noise levels.
-
-    truth: values of some inputs, in the units of their names (others: away from the centre and the edges of the box); the
-    noise is 0.2 mm and 5 % of the volume, then 1 mm and 20 %. Everything else as ``calibrate``. Raises LacliError where the
-    simulation at the truth fails, UsageError, AnatomyError, SolverMissingError, StorageError, Cancelled.
-    """
-    from lacli.base.files import superseded
-    from lacli.base.processes.locks import working_on
-    from lacli.calibration.calibration import Settings, obstacle
-    from lacli.calibration.synthetic_truth import logged, truth_identity, verify
-    from lacli.inference.box import OUTPUTS, published_box
-    from lacli.inference.runs import runs_identity
-    from lacli.report import calibration_figures as drawing
-
-    settings = settings or Settings()
-    _check(settings, folder)
-    box = box or published_box()
-    run = _simulator(scene, store or folder / WAVES, workers, scheduler, (), False)
-    x = _point(truth or {}, box)
-    of_runs = runs_identity(run, box.names, logged(OUTPUTS))
-    identity = truth_identity(run, box, OUTPUTS, x, settings)
-    folder = _settle(folder, lambda place: obstacle(place, identity), of_runs, fresh)
-    hear = _Listener(progress, cancel)
-    with working_on(folder):
-        levels = verify(run, box, OUTPUTS, x, settings, folder, hear)
-    superseded(folder, drawing.RECOVERY, *(f"{r.level}/{name}" for r in levels for name in drawing.FIGURES))
-    pictures: list[Path] = []
-    if figures:
-        hear.drawing()
-        pictures = drawing.draw_recoveries(levels, box, folder)
-    return Recovered(folder, tuple(levels), tuple(pictures))
-
-
-def _check(settings: Settings, folder: Path) -> None:
-    from lacli.base.files import check_folder
-
-    check_prior(settings.prior)
-    check_folder(folder)
-
-
-def _simulator(
-    scene: Scene, store: Path, workers: int | None, scheduler: str | None, targets: Sequence[str], sensitivities: bool
-) -> SceneSimulator:
-    from lacli.calibration.simulator import simulator
-
-    return simulator(scene, store, workers, scheduler, targets=targets, sensitivities=sensitivities)
-
-
-def _settle(folder: Path, in_the_way: Callable[[Path], str], of_runs: Identity, fresh: bool) -> Path:
-    """Where the calibration goes: neither another one nor a table of other runs may be there."""
-    from lacli.contracts.identity import settle
-    from lacli.inference.runs import obstacle
-
-    return settle(folder, lambda place: in_the_way(place) or obstacle(place / "runs.csv", of_runs), fresh)
-
-
-def _point(truth: Mapping[str, float], box: Box) -> FloatArray:
-    """The known parameters (d,). Raises UsageError for a name that is no input, and outside the box."""
-    from lacli.calibration.synthetic_truth import default_truth
-
-    x = default_truth(box)
-    for name, value in truth.items():
-        if name not in box.names:
-            raise UsageError(f"--truth {name}: no input of the box; its inputs are {', '.join(box.names)}.")
-        x[box.names.index(name)] = value
-    for name, value, low, high in zip(box.names, x, box.lower, box.upper, strict=True):
-        if not low <= value <= high:
-            raise UsageError(f"--truth: {name} is {value:g}, outside the box ({low:g} to {high:g}). Set --truth {name}=VALUE.")
-    for i, j in box.ordered:
-        if not x[i] < x[j]:
-            a, b = box.names[i], box.names[j]
-            raise UsageError(f"--truth: {a} is {x[i]:g}, not below {b}, {x[j]:g}. Set --truth {a}=VALUE or {b}=VALUE.")
-    return x
-
-
-class _Listener:
-    """A calibration's words as progress, each step of a wave a stage of its own."""
-
-    def __init__(self, progress: OnProgress | None, cancel: Cancel | None) -> None:
-        self._stage = Stage("calibration", 1.0, progress, cancel)
-
-    def __call__(self, status: Status) -> None:
-        self._stage.of(f"wave {status.wave}: {status.stage}", status.done, status.total, status)
-
-    def drawing(self) -> None:
-        self._stage.of("drawing", 0.0, 1.0)
+    if method is None:
+        waves = isinstance(settings, PublishedSettings) or not sensitivities
+        seeks = scene is not None and targets is not None and not waves and not sequential.lacking(scene)
+        method = "sequential" if seeks else "published"
+    if method == "sequential":
+        if scene is None or targets is None or not sensitivities or isinstance(settings, PublishedSettings):
+            raise UsageError(
+                "calibrate: the sequential method needs a scene whose runs tell derivatives, targets, its own settings."
+            )
+        if dry_run:
+            return sequential.prices(scene, targets, folder, settings, work)
+        if forecast:
+            return sequential.foresee(scene, targets, folder, settings, work)
+        return sequential.seek(scene, targets, folder, settings, work)
+    if isinstance(settings, SequentialSettings):
+        raise UsageError("calibrate: these settings are of the sequential method.")
+    if forecast or dry_run or cheap:
+        raise UsageError(
+            "calibrate: forecast, price and cheap runs are of the sequential method; the scene must tell derivatives."
+        )
+    if targets is not None:
+        return published.calibrate_by_waves(scene, table, targets, folder, settings, work)
+    if scene is None:
+        raise UsageError("calibrate: known parameters are simulated; give a scene.")
+    return published.recover(scene, truth or {}, folder, settings, work)

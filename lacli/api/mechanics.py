@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 from lacli.api.progress import Cancel, OnProgress, Stage, check
 from lacli.base.errors import AnatomyError
@@ -14,8 +14,11 @@ from lacli.base.errors import AnatomyError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from lacli.api.methods.numerics import CalibrationTradeoff
     from lacli.contracts.scene import Scene
+    from lacli.contracts.targets import Targets
     from lacli.freefem.run import Progress as SolverProgress
+    from lacli.inference.box import Box
     from lacli.mechanics.installation import Check as InstallationCheck
     from lacli.mechanics.numerics.tradeoff import Variant
     from lacli.mechanics.simulation import RunResult
@@ -109,23 +112,72 @@ class Tradeoff:
     recommended: str | None
 
 
+@overload
 def tradeoff(
     scene: Scene,
+    targets: None = ...,
+    *,
+    finer: Path | None = ...,
+    tolerance_mm: float = ...,
+    store: Path = ...,
+    record: bool = ...,
+    progress: OnProgress | None = ...,
+    cancel: Cancel | None = ...,
+) -> Tradeoff: ...
+
+
+@overload
+def tradeoff(
+    scene: Scene,
+    targets: Targets,
+    *,
+    finer: Path | None = ...,
+    box: Box | None = ...,
+    tolerance_sd: float = ...,
+    store: Path = ...,
+    figures: bool = ...,
+    progress: OnProgress | None = ...,
+    cancel: Cancel | None = ...,
+) -> CalibrationTradeoff: ...
+
+
+def tradeoff(
+    scene: Scene,
+    targets: Targets | None = None,
     *,
     finer: Path | None = None,
+    box: Box | None = None,
     tolerance_mm: float = 0.22,
+    tolerance_sd: float = 0.25,
     store: Path = Path("runs"),
     record: bool = True,
+    figures: bool = False,
     progress: OnProgress | None = None,
     cancel: Cancel | None = None,
-) -> Tradeoff:
+) -> Tradeoff | CalibrationTradeoff:
     """Speed against accuracy of linear and quadratic cells and two quadratures, against the most careful of them.
 
     Errors are in the features' units, costs in CPU seconds and MB. finer: a bundle of the same atrium with smaller cells,
     the reference then; tolerance_mm: the largest error of a displacement; record: keep the errors in the scene's bundle, so
-    that later results carry them. Raises AnatomyError, InputError where no choice ends, SolverMissingError, StorageError,
-    Cancelled (simulations that ended are kept).
+    that later results carry them.
+
+    targets: of a calibration, and what the numerics do to its posterior is told instead. The patient is the reference's
+    simulation at the scene's parameters; names and errors of the targets count (in the units of the names), their means do
+    not. box: of the inputs (default: the published one); tolerance_sd: shift of an alpha that is acceptable, in standard
+    deviations of the posterior; figures: whether it is drawn, into ``store``. Each choice takes a run with derivatives and up
+    to four more.
+
+    Raises AnatomyError, InputError where no choice ends, UsageError where the scene is outside the box or tells no
+    derivatives, LacliError where the reference fails, SolverMissingError, StorageError, Cancelled (simulations that ended are
+    kept).
     """
+    if targets is not None:
+        from lacli.api.methods.numerics import calibration_tradeoff
+
+        return calibration_tradeoff(
+            scene, targets, meshes=() if finer is None else (finer,), box=box, tolerance_sd=tolerance_sd, store=store,
+            figures=figures, progress=progress, cancel=cancel,
+        )  # fmt: skip
     from lacli.mechanics.numerics import tradeoff as measure
 
     if finer is not None and not (finer / "wall.vtu").is_file():

@@ -1,12 +1,11 @@
-"""A study in one call each: statistics over many patients, models compared, a page on a run or a patient."""
+"""What is made of results: models of a patient compared, statistics over patients, a page on a run, a patient or a study."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from lacli.base.errors import LacliError, UsageError
 
@@ -15,19 +14,6 @@ if TYPE_CHECKING:
     from lacli.base.arrays import FloatArray
     from lacli.cohort.analysis.statistics import Statistics
     from lacli.cohort.comparison import Comparison
-    from lacli.cohort.participants import Participant
-    from lacli.cohort.steps import Step
-    from lacli.cohort.study import Outcome, Planned
-
-PLAIN_PATH = re.compile(r"[A-Za-z0-9_./+-]+")  # in a batch script's header nothing can be quoted
-
-
-@dataclass(frozen=True)
-class Cohort:
-    """What a study holds: the state of each patient, and its summary (counts, misfit of the models over patients, notes)."""
-
-    outcomes: tuple[Outcome, ...]
-    summary: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -164,185 +150,3 @@ def _thickness(run: Path) -> tuple[tuple[FloatArray, FloatArray] | None, str]:
     except LacliError as error:
         return None, f"Wall thickness is not shown: {error}"
     return (bundle.points[found.ids], found.laplace), ""
-
-
-def plan_cohort(
-    participants: Path, folder: Path, *, scene: Path | None = None, settings: Path | None = None, only: Sequence[str] = ()
-) -> list[Planned]:
-    """The steps of each patient and their state; nothing is run. Raises TableError, UsageError, InputError."""
-    from lacli.cohort.study import planned
-
-    return [row for patient, steps in _patients(participants, folder, scene, settings, only)
-            for row in planned(patient, steps, folder.absolute() / patient.identifier)]  # fmt: skip
-
-
-def run_cohort(
-    participants: Path,
-    folder: Path,
-    *,
-    scene: Path | None = None,
-    settings: Path | None = None,
-    only: Sequence[str] = (),
-    scheduler: str | None = None,
-    slurm: bool = False,
-    progress: OnProgress | None = None,
-    cancel: Cancel | None = None,
-) -> Cohort:
-    """Every patient of a table: mesh, fat, track, calibrate, compare, as far as it has the files, and the tables.
-
-    Each step is a call of ``lacli`` in a process of its own; what is done is found again by content. only: these patients (the
-    tables hold all that are done, in the units of their columns' names). A patient who fails is an outcome. scheduler: address
-    of a Dask scheduler, whose workers take a patient each and see the same files; slurm: such workers as SLURM jobs of the
-    settings' ``[slurm]``. Raises TableError, UsageError, InputError before anything is run, Cancelled, LacliError where the
-    scheduler is lost (what is done is kept).
-    """
-    from lacli.api.progress import Stage
-    from lacli.base.files import check_folder
-    from lacli.cohort.analysis.summary import write_summary
-    from lacli.cohort.participants import read_participants
-    from lacli.cohort.study import known_outcome, planned, run
-
-    check_folder(folder)
-    every = read_participants(participants)
-    chosen = _patients(participants, folder, scene, settings, only)
-    home = folder.absolute()
-    for patient, steps in chosen:
-        planned(patient, steps, home / patient.identifier)
-    if scheduler is not None and slurm:
-        raise UsageError("a scheduler that is there, or SLURM's own jobs: one of the two.")
-    outcomes: dict[str, Outcome] = {}
-    if slurm:
-        for found in _on_slurm(chosen, home, settings, progress, cancel):
-            outcomes[found.participant_id] = found
-    elif scheduler is not None:
-        for found in _on_cluster(chosen, home, scheduler, progress, cancel):
-            outcomes[found.participant_id] = found
-    for patient, steps in chosen if not slurm and scheduler is None else ():
-        stage = Stage(patient.identifier, len(steps), progress, cancel).begin()
-        begun: list[str] = []
-
-        def tick(name: str, stage: Stage = stage, begun: list[str] = begun) -> None:
-            begun.append(name)
-            stage.reach(len(begun) - 1)
-
-        wanted = (lambda: not cancel()) if cancel is not None else (lambda: True)
-        outcomes[patient.identifier] = run(patient, steps, home / patient.identifier, tick, wanted)
-        stage.reach(len(steps))
-    for patient in every:
-        if patient.identifier not in outcomes and (known := known_outcome(home / patient.identifier)) is not None:
-            outcomes[patient.identifier] = known
-    ordered = tuple(outcomes[p.identifier] for p in every if p.identifier in outcomes)
-    return Cohort(ordered, write_summary(folder, every, ordered))
-
-
-def _on_cluster(
-    chosen: Sequence[tuple[Participant, list[Step]]],
-    home: Path,
-    scheduler: str,
-    progress: OnProgress | None,
-    cancel: Cancel | None,
-    left: Callable[[int], None] = lambda count: None,
-) -> Iterator[Outcome]:
-    """Outcomes as they come; ``left`` is told about each second how many are to come."""
-    from lacli.api.progress import Stage, check
-    from lacli.cohort.cluster import patients_on_cluster
-
-    stages = [Stage(patient.identifier, len(steps), progress, cancel) for patient, steps in chosen]
-    names = [[step.name for step in steps] for _, steps in chosen]
-    count = len(chosen)
-
-    def look() -> None:
-        check(cancel, "the study")
-        left(count)
-
-    def begun(index: int, name: str) -> None:
-        stages[index].reach(names[index].index(name))
-
-    for index, outcome in patients_on_cluster(chosen, home, scheduler, begun, look):
-        count -= 1
-        stages[index].reach(len(names[index]))
-        yield outcome
-
-
-def _on_slurm(
-    chosen: Sequence[tuple[Participant, list[Step]]],
-    home: Path,
-    settings: Path | None,
-    progress: OnProgress | None,
-    cancel: Cancel | None,
-) -> Iterator[Outcome]:
-    from lacli.cohort.slurm import workers
-    from lacli.cohort.steps import read_settings
-
-    logs = _slurm_folder(home)
-    with workers(read_settings(settings), logs) as (address, keep):
-        keep(len(chosen))
-        yield from _on_cluster(chosen, home, address, progress, cancel, keep)
-
-
-def _slurm_folder(home: Path) -> Path:
-    """Where SLURM's jobs say what they have to say. Raises UsageError, StorageError."""
-    from lacli.base.files import check_folder
-
-    logs = home / "slurm"
-    if not PLAIN_PATH.fullmatch(str(logs)):
-        raise UsageError(f"{logs}: SLURM takes no path with such letters; choose another --out.")
-    check_folder(logs)
-    logs.mkdir(parents=True, exist_ok=True)
-    return logs
-
-
-def cohort_cost(rows: Sequence[Planned], folder: Path, settings: Path | None = None) -> dict[str, Any]:
-    """Cost of a plan: ``calibrations`` to do, ``runs_each`` at most, ``cpu_s_per_run``, the median of the study's runs so far or
-    None."""
-    from lacli.calibration.calibration import Settings
-    from lacli.cohort.analysis.summary import median_cpu_s
-    from lacli.cohort.steps import read_settings
-
-    todo = [row for row in rows if row.step == "calibrate" and row.state != "done" and "--from-table" not in row.command.split()]
-    default, given = Settings(), read_settings(settings).options.get("calibrate", {})
-    names = ("first_runs", "wave_runs", "max_waves", "max_runs")
-    first, following, waves, most = (int(given.get(name.replace("_", "-"), getattr(default, name))) for name in names)
-    runs = min(most, first + following * (waves - 1))
-    return {"calibrations": len(todo), "runs_each": runs, "cpu_s_per_run": median_cpu_s(folder)}
-
-
-def write_slurm(
-    participants: Path, folder: Path, script: Path, *, scene: Path | None = None, settings: Path | None = None
-) -> None:
-    """A plain SLURM array script, a task a patient, that does what ``run_cohort`` does.
-
-    Raises TableError, UsageError, InputError, StorageError.
-    """
-    import sys
-
-    from lacli.base.files import write_text
-    from lacli.cohort.slurm import array_script
-    from lacli.cohort.steps import read_settings
-
-    patients = _patients(participants, folder, scene, settings, ())
-    logs = _slurm_folder(folder.absolute())
-    call = ["cohort", str(participants.absolute()), "--out", str(folder.absolute())]
-    for option, file in (("--scene", scene), ("--settings", settings)):
-        call += [option, str(file.absolute())] if file is not None else []
-    identifiers = [patient.identifier for patient, _ in patients]
-    write_text(script, array_script(sys.executable, call, identifiers, read_settings(settings), logs))
-
-
-def _patients(
-    participants: Path, folder: Path, scene: Path | None, settings: Path | None, only: Sequence[str]
-) -> list[tuple[Participant, list[Step]]]:
-    from lacli.base.errors import InputError
-    from lacli.cohort.participants import check_targets, read_participants
-    from lacli.cohort.steps import read_settings, steps_of
-
-    if scene is not None and not scene.is_file():
-        raise InputError(f"{scene}: no such scene.")
-    every, shared = read_participants(participants), read_settings(settings)
-    missing = [name for name in only if name not in [p.identifier for p in every]]
-    if missing:
-        raise UsageError(f"{participants}: no participant {', '.join(missing)}.")
-    check_targets(every, participants)
-    own = None if scene is None else scene.absolute()
-    chosen = [p for p in every if not only or p.identifier in only]
-    return [(p, steps_of(p, shared, folder.absolute() / p.identifier, own)) for p in chosen]

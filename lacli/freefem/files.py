@@ -15,6 +15,7 @@ from lacli.geometry.quadrature import triangle_shapes
 # VTK's 10-node cell -> FreeFEM's: middles of edges 01 02 03 12 13 23; triangle: of 12 20 01
 CELL_ORDER = [0, 1, 2, 3, 4, 6, 7, 5, 8, 9]
 FACE_ORDER = [0, 1, 2, 4, 5, 3]
+STATE = ("x", "y", "z", "X", "Y", "Z")  # columns of a state: positions, reference positions
 
 
 def write_medit(file: Path, points: FloatArray, tets: IntArray, region: IntArray, triangles: IntArray, tags: IntArray) -> None:
@@ -52,3 +53,31 @@ def _write_array(out: TextIO, values: NDArray[np.generic]) -> None:
         raise InputError("A number that goes into the simulation is not finite; check fibres and coordinates of the bundle.")
     out.write(f"{len(values)}\n{len(values)}\n")
     np.savetxt(out, values, fmt="%d" if values.dtype.kind in "iu" else "%.17g")
+
+
+def read_history(path: Path) -> dict[str, dict[str, float]]:
+    """The whole lines of a script's history: numbers by name, under the first word of their line.
+
+    Raises OSError, ValueError where a line is no such line.
+    """
+    lines = path.read_text(encoding="ascii").split("\n")[:-1]  # what follows the last end of line is not whole
+    found: dict[str, dict[str, float]] = {}
+    for words in filter(None, (line.split() for line in lines)):
+        found[words[0]] = {name: float(value) for name, value in (word.split("=", 1) for word in words[1:])}
+    return found
+
+
+def read_state(path: Path, count: int) -> tuple[FloatArray, FloatArray]:
+    """Positions and reference positions (n, 3) mm of a state that a script has left, by the names of its columns.
+
+    Raises OSError, ValueError where there are not ``count`` finite rows.
+    """
+    with path.open(encoding="ascii") as stream:
+        names = stream.readline().split()
+        table = np.loadtxt(stream, ndmin=2)
+    if table.shape != (count, len(names)) or not np.isfinite(table).all():
+        raise ValueError(f"{path.name} is incomplete")
+    column = {name: table[:, i] for i, name in enumerate(names)}
+    if missing := [name for name in STATE if name not in column]:
+        raise ValueError(f"{path.name} has no {', '.join(missing)}")
+    return np.stack([column[name] for name in STATE[:3]], axis=1), np.stack([column[name] for name in STATE[3:]], axis=1)

@@ -18,9 +18,11 @@ from lacli.base.files import write_text
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.case import Case
 from lacli.contracts.sections import MMHG_KPA
+from lacli.freefem.files import read_history, read_state
 from lacli.mechanics.features import cell_gradient, regional_extras
 
-FIELDS = "fields"
+FIELDS, HISTORY = "fields", "history.txt"
+_STATE = "state_"  # begins a state's line of the history
 
 
 @dataclass(frozen=True)
@@ -36,10 +38,10 @@ class State:
 @dataclass(frozen=True)
 class Results:
     """states by name in order of time (``ed``, the frames, ``es``, and ``unloaded`` where it was found); counts and errors of
-    the deck's history by the first word of their line."""
+    the deck's history by name, under the first word of their line."""
 
     states: dict[str, State]
-    numbers: dict[str, list[float]]
+    numbers: dict[str, dict[str, float]]
 
 
 def read(case: Case, folder: Path) -> Results:
@@ -52,37 +54,31 @@ def read(case: Case, folder: Path) -> Results:
 
 def _read(case: Case, folder: Path) -> Results:
     states: dict[str, State] = {}
-    numbers: dict[str, list[float]] = {}
-    lines = _history(folder)
+    numbers: dict[str, dict[str, float]] = {}
+    lines = read_history(folder / HISTORY)
     if "end" not in lines:
-        raise ValueError("history.txt has no end")
-    for line in lines:
-        words = line.split()
-        if len(words) >= 5 and words[0] == "state":
-            table = np.loadtxt(folder / f"{words[1]}.txt").reshape(-1, 6)
-            if len(table) != len(case.bundle.points) or not np.isfinite(table).all():
-                raise ValueError(f"{words[1]}.txt is incomplete")
-            states[words[1]] = State(table[:, :3], table[:, 3:], float(words[2]), float(words[4]))
-        elif words and words[0] != "end":
-            numbers[words[0]] = [float(word) for word in words[1:]]
+        raise ValueError(f"{HISTORY} has no end")
+    for word, said in lines.items():
+        if word.startswith(_STATE):
+            name = word.removeprefix(_STATE)
+            x, reference = read_state(folder / f"{name}.txt", len(case.bundle.points))
+            states[name] = State(x, reference, said["pressure_kpa"], said["min_j"])
+        elif word != "end":
+            numbers[word] = said
     lacking = [name for name in ("ed", "es") if name not in states]
     needed = ("counts", "es_modes", *(("ed_error", "ed_modes") if case.plan.unloading else ()))
     lacking += [name for name in needed if name not in numbers]
     if lacking:
-        raise ValueError(f"history.txt lacks {', '.join(lacking)}")
+        raise ValueError(f"{HISTORY} lacks {', '.join(lacking)}")
     return Results(states, numbers)
-
-
-def _history(folder: Path) -> list[str]:
-    """Whole lines of the deck's history; [] where there is none."""
-    with contextlib.suppress(OSError):
-        return (folder / "history.txt").read_text(encoding="ascii").split("\n")[:-1]
-    return []
 
 
 def stand(folder: Path) -> bool:
     """Whether end-systole was reached: only the unloaded state, an extra, may still be missing."""
-    return "end" in _history(folder)
+    try:
+        return "end" in read_history(folder / HISTORY)
+    except (OSError, ValueError):
+        return False
 
 
 def features(case: Case, results: Results) -> dict[str, Any]:
@@ -97,19 +93,22 @@ def features(case: Case, results: Results) -> dict[str, Any]:
         "unloaded_volume_ml": _unloaded_volume(case, results),
     }
     if case.plan.unloading:
-        volume, mean, p95, iterations = numbers["ed_error"]
-        found |= {"ed_volume_error": volume, "ed_shape_error_mean_mm": mean, "ed_shape_error_p95_mm": p95}
-        found |= {"unloading_iterations": int(iterations), "ed_unstable_modes": int(numbers["ed_modes"][0])}
+        error = numbers["ed_error"]
+        found |= {
+            "ed_volume_error": error["volume"], "ed_shape_error_mean_mm": error["mean_mm"],
+            "ed_shape_error_p95_mm": error["p95_mm"], "unloading_iterations": int(error["iterations"]),
+            "ed_unstable_modes": int(numbers["ed_modes"]["unstable"]),
+        }  # fmt: skip
     else:
         found |= {"ed_volume_error": 0.0, "ed_shape_error_mean_mm": 0.0, "ed_shape_error_p95_mm": 0.0}
-    unknowns, newton, steps, backs = (int(v) for v in numbers["counts"])
+    counts = {name: int(value) for name, value in numbers["counts"].items()}
     found |= {
-        "es_unstable_modes": int(numbers["es_modes"][0]),
+        "es_unstable_modes": int(numbers["es_modes"]["unstable"]),
         "min_jacobian": min(state.min_jacobian for name, state in states.items() if name != "unloaded"),
-        "unknowns": unknowns,
-        "newton_iterations": newton,
-        "load_steps": steps,
-        "steps_back": backs,
+        "unknowns": counts["unknowns"],
+        "newton_iterations": counts["newton"],
+        "load_steps": counts["steps"],
+        "steps_back": counts["backs"],
     }
     if case.scene.outputs.strain:
         found |= regional_extras(bundle, states["ed"].x, es.x)
@@ -196,11 +195,9 @@ def write_state(bundle: Bundle, x: FloatArray, unloaded: FloatArray | None, file
 def keep_last_state(case: Case, folder: Path) -> None:
     """The state a failed run had reached, as VTU, where the deck wrote one."""
     with contextlib.suppress(OSError, ValueError):
-        table = np.loadtxt(folder / "last.txt").reshape(-1, 6)
-        if len(table) == len(case.bundle.points) and np.isfinite(table).all():
-            (folder / FIELDS).mkdir(exist_ok=True)
-            free = None if case.plan.prestrain else table[:, 3:]
-            write_state(case.bundle, table[:, :3], free, folder / FIELDS / "last.vtu")
+        x, reference = read_state(folder / "last.txt", len(case.bundle.points))
+        (folder / FIELDS).mkdir(exist_ok=True)
+        write_state(case.bundle, x, None if case.plan.prestrain else reference, folder / FIELDS / "last.vtu")
 
 
 def tidy(folder: Path) -> None:

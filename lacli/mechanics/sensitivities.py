@@ -20,6 +20,7 @@ from lacli.contracts.case import Case
 from lacli.contracts.features import at_time
 from lacli.contracts.labels import BODY_REGIONS
 from lacli.contracts.sections import KPA_PER_UM_KPA_PER_MM, MMHG_KPA
+from lacli.freefem.names import Rates
 from lacli.mechanics.features import regional_extras
 from lacli.mechanics.results import Results
 
@@ -117,10 +118,13 @@ def _extras(case: Case, results: Results, rates: FloatArray, ed_rates: FloatArra
 def _given(results: Results) -> dict[str, bool]:
     """States that the deck was asked for, and whether it gave their derivatives."""
     prefix = "sensitivities_"
-    return {key.removeprefix(prefix): bool(value[0]) for key, value in results.numbers.items() if key.startswith(prefix)}
+    return {key.removeprefix(prefix): bool(value["given"]) for key, value in results.numbers.items() if key.startswith(prefix)}
 
 
-_WRONG = {1: "the prestrain's tangent", 2: "its factors", 3: "the residual's derivatives", 4: "the linear solver", 5: "writing"}
+_WRONG: dict[int, str] = {
+    Rates.STATE: "the prestrain's tangent", Rates.FACTORS: "its factors", Rates.SLOPES: "the residual's derivatives",
+    Rates.SOLUTION: "the linear solver", Rates.FILE: "writing",
+}  # fmt: skip
 
 
 def statement(case: Case, results: Results) -> dict[str, Any] | None:
@@ -134,7 +138,8 @@ def statement(case: Case, results: Results) -> dict[str, Any] | None:
         return {"given": False, "why": "only the compiled engine has them; `lacli doctor` says what it needs"}
     said: dict[str, Any] = {"given": any(_given(results).values())}
     for name, given in _given(results).items():
-        _, modes, wrong = (int(v) for v in results.numbers[f"sensitivities_{name}"])
+        line = results.numbers[f"sensitivities_{name}"]
+        modes, wrong = int(line["unstable"]), int(line["wrong"])
         if given:
             said[name] = "given"
         elif modes != 0:
@@ -142,7 +147,7 @@ def statement(case: Case, results: Results) -> dict[str, Any] | None:
         else:
             said[name] = f"none: {_WRONG.get(wrong, 'the deck')} failed"
     if case.plan.unloading:
-        said["ed_unstable_modes"] = int(results.numbers["ed_modes"][0])
+        said["ed_unstable_modes"] = int(results.numbers["ed_modes"]["unstable"])
     return said
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from lacli.calibration.numerics import Effect, worst_shift
+from lacli.report.inference_figures import save
 from lacli.report.style import paper
 
 _LEAST = 1e-3  # standard deviations: the reference's own shift, 0, stands there
@@ -37,6 +38,4 @@ def frontier_figure(found: Sequence[Effect], inputs: Sequence[str], tolerance_sd
         axis.margins(0.3, 0.15)
         axis.set_xlabel("CPU time of a run (s)")
         axis.set_ylabel("largest shift of an alpha (sd)")
-        figure.savefig(picture)
-        plt.close(figure)
-    return picture
+        return save(figure, picture)

@@ -47,7 +47,7 @@ _MEAN_SD, _AROUND_SD = 0.25, 0.4  # of log alpha: between patients, and between 
 _STREAM = 20260417
 
 
-def parameters_of(seed: int, arm: Arm) -> dict[str, float]:
+def drawn_parameters(seed: int, arm: Arm) -> dict[str, float]:
     """The truth of a seed's patient in an arm: alphas by region, pressures (mmHg), the pericardium's stiffness and end."""
     rng = np.random.default_rng([_STREAM, seed])
     patient, regions = rng.normal(0.0, _MEAN_SD), rng.normal(0.0, _AROUND_SD, len(BODY_REGIONS))
@@ -143,7 +143,7 @@ def _finished(folder: Path, made_from: dict[str, Any]) -> dict[str, Any] | None:
 
 def _write(folder: Path, seed: int, arm: Arm, atrium: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
     wall = varying(seed) if arm == "thickness" else None
-    parameters = parameters_of(seed, arm)
+    parameters = drawn_parameters(seed, arm)
     fine = {**atrium, "cell_size_mm": FINER * atrium["cell_size_mm"], "order": 2}
     _save(*synthesize(seed, **fine, wall=wall), folder / "truth_bundle")
     scene = build_scene(

@@ -149,7 +149,8 @@ def unload() -> list[Check]:
 
     if not apart(image, original).max() > 1.0:
         raise SimulationError("no_load", "The load does not move the shell, so nothing is tested.")
-    volume, mean, *_ = solution.other["unloaded"]
+    unloaded = solution.other["unloaded"]
+    volume, mean = unloaded["volume"], unloaded["mean_mm"]
     reference, reloaded = solution.states["inverse"][1], solution.states["reloaded"][0]
     return [
         compare("unload", "ed_volume_error", volume, 0.0, 0.01, *cost),

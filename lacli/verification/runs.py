@@ -17,7 +17,8 @@ from lacli.base.errors import SimulationError
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.laws import NUMBER
 from lacli.freefem import run as freefem
-from lacli.freefem.files import CELL_ORDER, write_arrays, write_faces, write_medit
+from lacli.freefem.files import CELL_ORDER, read_history, read_state, write_arrays, write_faces, write_medit
+from lacli.freefem.names import Faces, Task
 from lacli.freefem.program import find
 from lacli.freefem.template import render_template
 from lacli.mechanics.engine import plugin
@@ -26,9 +27,8 @@ from lacli.mechanics.inputs import CELL_COLUMNS, Cell
 TIMEOUT_S = 1800.0
 GUCCIONE, NEO_HOOKEAN = NUMBER["guccione"], NUMBER["neo_hookean"]
 # kinds of faces and tasks of the engine
-PRESSURE, VEINS, PERICARDIUM, PERICARDIUM_OUTWARD = 0, 1, 2, 3
-RESIDUAL, SYMMETRIC, UNSYMMETRIC, INVERSE, PRESTRAIN_RESIDUAL, PRESTRAIN = 0, 1, 2, 3, 4, 5
-KEEP_PRESTRAIN = 6  # x is the prestrain's field v; the wall has its strain for this form (residual at X) and all that follow
+PRESSURE, VEINS, PERICARDIUM, PERICARDIUM_OUTWARD = map(int, Faces)
+RESIDUAL, SYMMETRIC, UNSYMMETRIC, INVERSE, PRESTRAIN_RESIDUAL, PRESTRAIN, KEEP_PRESTRAIN = map(int, Task)
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class Solution:
     newton: int
     steps: int
     cpu_s: float
-    other: dict[str, list[float]] = field(default_factory=dict)
+    other: dict[str, dict[str, float]] = field(default_factory=dict)
 
 
 def solve(setup: Setup) -> Solution:
@@ -142,17 +142,16 @@ def solve(setup: Setup) -> Solution:
             "at": setup.at is not None,
         }
         outcome = _run("verification.edp.j2", folder, **choices)
-        words = [line.split() for line in (folder / "history.txt").read_text(encoding="ascii").splitlines()]
-        history = {w[0]: [float(v) for v in w[1:]] for w in words if w}
+        history = read_history(folder / "history.txt")
         if "end" not in history:
             raise SimulationError("bad_output", "The verification problem's history is incomplete.")
         names: tuple[str, ...] = ("loaded",)
         if setup.unload or setup.prestrain:
             names += ("unloaded", "reloaded") + (("inverse",) if setup.unload else ())
-        tables = {name: np.loadtxt(folder / f"{name}.txt").reshape(-1, 6) for name in names}
-    rest, volume, min_j, _, unknowns, newton, steps = history.pop("state")
-    states = {name: (table[:, :3], table[:, 3:]) for name, table in tables.items()}
-    return Solution(states, rest, volume, min_j, int(unknowns), int(newton), int(steps), outcome.cpu_s, history)
+        states = {name: read_state(folder / f"{name}.txt", len(setup.bundle.points)) for name in names}
+    said = history.pop("state")
+    unknowns, newton, steps = (int(said[name]) for name in ("unknowns", "newton", "steps"))
+    return Solution(states, said["rest_mm3"], said["volume_mm3"], said["min_j"], unknowns, newton, steps, outcome.cpu_s, history)
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ import pytest
 from shapes import hollow_cube
 
 import lacli
+import lacli.types
 from lacli.api import progress as api_progress
 from lacli.base import arrays
 from lacli.contracts.bundle import save
@@ -29,20 +30,20 @@ from lacli.freefem.run import Progress as SolverProgress
 from lacli.mechanics import simulation
 from lacli.mechanics.store import open_run
 
-NAMES = [name for name in lacli.__all__ if name != "__version__"]
-VERBS = [name for name in NAMES if inspect.isfunction(getattr(lacli, name))]
+PUBLIC = {name: getattr(module, name) for module in (lacli.types, lacli) for name in module.__all__ if name != "__version__"}
+VERBS = [name for name, one in PUBLIC.items() if inspect.isfunction(one)]
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", PUBLIC)
 def test_every_public_name_says_what_it_is(name: str) -> None:
-    first = (inspect.getdoc(getattr(lacli, name)) or "").split("\n\n")[0].replace("\n", " ")
+    first = (inspect.getdoc(PUBLIC[name]) or "").split("\n\n")[0].replace("\n", " ")
     assert first[:1].isupper()
     assert first.rstrip("`").endswith(".")
 
 
 @pytest.mark.parametrize("name", ["simulate", "write_deck", "read_deck", "rerun", "emulate", "sensitivity", "match"])
 def test_a_verb_names_its_errors_and_units(name: str) -> None:
-    text = inspect.getdoc(getattr(lacli, name)) or ""
+    text = inspect.getdoc(PUBLIC[name]) or ""
     assert "Raises " in text
     assert "unit" in text.lower() or name == "write_deck"
 
@@ -61,20 +62,23 @@ def _for_types(module: types.ModuleType) -> dict[str, object]:
 
 @pytest.mark.parametrize("name", VERBS)
 def test_every_argument_and_result_of_a_verb_is_typed(name: str) -> None:
-    verb = getattr(lacli, name)
-    known = {other: getattr(lacli, other) for other in NAMES} | vars(api_progress) | vars(sys.modules[verb.__module__])
+    verb = PUBLIC[name]
+    known = PUBLIC | vars(api_progress) | vars(sys.modules[verb.__module__])
     known |= _for_types(sys.modules[verb.__module__])
     hints = typing.get_type_hints(verb, globalns=known | vars(arrays) | {"Identity": Identity})
     assert set(hints) == {*inspect.signature(verb).parameters, "return"}
 
 
 def test_the_import_is_light_and_names_are_found() -> None:
-    code = "import sys, lacli; print([m for m in ('numpy', 'pandas', 'pydantic', 'typer') if m in sys.modules], dir(lacli))"
+    heavy = "[m for m in ('numpy', 'pandas', 'pydantic', 'typer') if m in sys.modules]"
+    code = f"import sys, lacli, lacli.types; print({heavy}, dir(lacli), dir(lacli.types))"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True).stdout
     assert said.startswith("[] ")
-    assert all(f"'{name}'" in said for name in NAMES)
+    assert all(f"'{name}'" in said for name in PUBLIC)
     with pytest.raises(AttributeError, match="no_such"):
         lacli.no_such  # noqa: B018
+    with pytest.raises(AttributeError, match=r"lacli\.types.*no_such"):
+        lacli.types.no_such  # noqa: B018
 
 
 @pytest.fixture
@@ -93,7 +97,7 @@ def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> lacli.Scene:
     save(hollow_cube(), tmp_path / "la")
     file = tmp_path / "scene.toml"
     file.write_text('[anatomy]\nbundle = "la"\n', encoding="utf-8")
-    return lacli.load_scene(file)
+    return lacli.types.load_scene(file)
 
 
 def test_a_cancelled_simulation_leaves_nothing_and_can_be_called_again(scene: lacli.Scene, tmp_path: Path) -> None:
@@ -112,39 +116,39 @@ def test_a_call_that_is_not_wanted_from_the_start_does_nothing(scene: lacli.Scen
 
 
 @pytest.fixture(scope="module")
-def table() -> lacli.RunTable:
+def table() -> lacli.types.RunTable:
     x = np.random.default_rng(0).uniform(1.0, 2.0, (30, 2))
     frame = pd.DataFrame(x, columns=["a", "b"])
     return combine(frame, pd.DataFrame({"y": 3.0 * x[:, 0] + 0.0 * x[:, 1] ** 2}), where="here")
 
 
-def test_emulators_and_indices_of_a_table(table: lacli.RunTable) -> None:
+def test_emulators_and_indices_of_a_table(table: lacli.types.RunTable) -> None:
     seen: list[lacli.Progress] = []
     made = lacli.emulate(table, folds=2, starts=1, progress=seen.append)
     assert [(p.stage, p.done, p.total) for p in seen] == [
         ("cross-validation", 0, 2), ("cross-validation", 1, 2), ("cross-validation", 2, 2),
         ("emulators", 0, 1), ("emulators", 1, 1)
     ]  # fmt: skip
-    box = lacli.make_box(["a", "b"], [1.0, 1.0], [2.0, 2.0])
+    box = lacli.types.make_box(["a", "b"], [1.0, 1.0], [2.0, 2.0])
     found = lacli.sensitivity(made.emulators, box=box, count=256, draws=0)
     # y = 3 a: all of the variance is of a, none of b
     np.testing.assert_allclose(found.indices.st, [[1.0, 0.0]], atol=0.03)
     with pytest.raises(lacli.LacliError, match="power of two"):
         lacli.sensitivity(made.emulators, box=box, count=100)
     with pytest.raises(lacli.LacliError, match="exactly the inputs a, b"):
-        lacli.sensitivity(made.emulators, box=lacli.make_box(["b", "a"], [1.0, 1.0], [2.0, 2.0]))
+        lacli.sensitivity(made.emulators, box=lacli.types.make_box(["b", "a"], [1.0, 1.0], [2.0, 2.0]))
 
 
-def test_a_fit_is_cancelled_between_outputs(table: lacli.RunTable) -> None:
+def test_a_fit_is_cancelled_between_outputs(table: lacli.types.RunTable) -> None:
     seen: list[lacli.Progress] = []
     with pytest.raises(lacli.Cancelled, match="cross-validation"):
         lacli.emulate(table, folds=2, starts=1, progress=seen.append, cancel=lambda: len(seen) == 2)
     assert len(seen) == 2
 
 
-def test_matching_leaves_what_reaches_the_target(table: lacli.RunTable) -> None:
+def test_matching_leaves_what_reaches_the_target(table: lacli.types.RunTable) -> None:
     emulators = lacli.emulate(table, folds=2, starts=1).emulators
-    box = lacli.make_box(["a", "b"], [1.0, 1.0], [2.0, 2.0])
+    box = lacli.types.make_box(["a", "b"], [1.0, 1.0], [2.0, 2.0])
     there = lacli.Targets(("y",), np.array([4.5]), np.array([0.1]))
     found = lacli.match(emulators, there, box=box, count=500, following=4)
     # y = 3 a within 3 sd = 0.3 of 4.5: a within 0.1 of 1.5, a fifth of the box (the emulator's own sd widens it a little)

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 import lacli
+import lacli.types
 
 FILE = Path(__file__).resolve().parents[2] / "examples" / "api.py"
 CELLS = re.split(r"^# %%(?: \[markdown\])?\n", FILE.read_text(encoding="utf-8"), flags=re.MULTILINE)
@@ -41,7 +42,8 @@ def test_every_name_of_the_library_in_it_is_public() -> None:
         for node in ast.walk(ast.parse(FILE.read_text(encoding="utf-8")))
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "lacli"
     }
-    assert used <= set(lacli.__all__)
+    assert used <= {*lacli.__all__, "types"}
+    assert set(re.findall(r"lacli\.types\.(\w+)", FILE.read_text(encoding="utf-8"))) <= set(lacli.types.__all__)
     assert {"synthesize", "simulate", "design", "emulate", "match", "posterior"} <= used
 
 

@@ -10,35 +10,45 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 import lacli
+import lacli.types
 from lacli.cli.commands import Command, commands
 
 NAMES = [name for name in lacli.__all__ if name != "__version__"]
-VERBS = [
-    name for name in NAMES if inspect.isfunction(getattr(lacli, name)) and getattr(lacli, name).__module__.startswith("lacli.api")
-]
+PUBLIC = {name: getattr(lacli.types, name) for name in lacli.types.__all__} | {name: getattr(lacli, name) for name in NAMES}
+VERBS = [name for name, one in PUBLIC.items() if inspect.isfunction(one) and one.__module__.startswith("lacli.api")]
 UNITS = re.compile(r"\b(mm|mL|kPa|MB|seconds|units?|share|HU)\b|mmHg", re.IGNORECASE)
 SHAPES = re.compile(r"\((?:\w+, )*\w+,?\)")
 # commands whose options are deeds of their own: what else they may call
-MORE = {"simulate": {"write_deck", "read_deck", "rerun"}, "calibrate": {"recover"}, "cohort": {"plan_cohort", "write_slurm"}}
-UNITLESS = {"write_deck", "write_report", "plan_cohort", "write_slurm"}  # they give no quantity
+MORE = {"simulate": {"write_deck", "read_deck", "rerun"}}
+UNITLESS = {"write_deck", "write_report"}  # they give no quantity
 NAMED = {"report": "write_report", "cohort": "run_cohort"}  # lacli.report and lacli.cohort are packages
 
 
-def test_the_verbs_of_a_calibration_are_there_and_names_are_in_order() -> None:
-    assert {
-        "calibrate", "design", "doctor", "emulate", "fat", "match", "mesh", "posterior", "read_deck", "recover", "rerun",
-        "sensitivity", "simulate", "synthesize", "track", "tradeoff", "verify", "write_deck",
-    } <= set(VERBS)  # fmt: skip
-    assert sorted(NAMES, key=lambda name: (not name[0].isupper(), name)) == NAMES
+def test_each_command_has_a_verb_and_besides_them_there_are_but_the_types_that_every_call_meets() -> None:
+    verbs = {name for name in NAMES if inspect.isfunction(getattr(lacli, name))}
+    assert verbs == {NAMED.get(name, name) for name in commands()}
+    assert set(NAMES) - verbs == {"Box", "Cancelled", "LacliError", "Progress", "Scene", "Targets"}
+
+
+@pytest.mark.parametrize("module", [lacli, lacli.types])
+def test_names_are_in_order_and_found_once(module: ModuleType) -> None:
+    names = [name for name in module.__all__ if name != "__version__"]
+    assert sorted(names, key=lambda name: (not name[0].isupper(), name)) == names
+    assert not set(lacli.__all__) & set(lacli.types.__all__)
+    text = Path(module.__file__ or "").read_text(encoding="utf-8")
+    typed = {alias.asname or alias.name for branch in ast.parse(text).body if isinstance(branch, ast.If)
+             for line in branch.body if isinstance(line, ast.ImportFrom) for alias in line.names}  # fmt: skip
+    assert typed == set(names), "what a type checker sees"
 
 
 @pytest.mark.parametrize("name", VERBS)
 def test_a_verb_says_what_it_gives_with_units_and_errors(name: str) -> None:
-    verb = getattr(lacli, name)
+    verb = PUBLIC[name]
     text = inspect.getdoc(verb) or ""
     raised = re.search(r"Raises (.+)", text, re.DOTALL)
     assert raised, f"{name}: which errors?"
@@ -50,16 +60,16 @@ def test_a_verb_says_what_it_gives_with_units_and_errors(name: str) -> None:
 
 @pytest.mark.parametrize("name", VERBS)
 def test_a_verb_explains_its_arguments_and_tells_its_progress(name: str) -> None:
-    verb = getattr(lacli, name)
+    verb = PUBLIC[name]
     given = dict(inspect.signature(verb).parameters)
-    brief = {"write_deck", "read_deck", "stats", "write_report", "plan_cohort", "write_slurm", "validate"}  # seconds
+    brief = {"write_deck", "read_deck", "stats", "write_report", "validate"}  # seconds
     assert {"progress", "cancel"} <= set(given) or name in brief
     assert all(p.kind is p.KEYWORD_ONLY for word, p in given.items() if word in ("progress", "cancel"))
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if inspect.isclass(getattr(lacli, name))])
+@pytest.mark.parametrize("name", [name for name, one in PUBLIC.items() if inspect.isclass(one)])
 def test_a_type_says_what_its_arrays_are(name: str) -> None:
-    one = getattr(lacli, name)
+    one = PUBLIC[name]
     text = (inspect.getdoc(one) or "") + "".join(
         inspect.getdoc(member) or "" for _, member in inspect.getmembers(one, inspect.isfunction)
     )
@@ -97,7 +107,7 @@ def _verbs_called(tree: ast.Module) -> list[str]:
 @pytest.mark.parametrize("name", list(commands()))
 def test_a_command_calls_one_verb_and_it_is_its_own(name: str) -> None:
     called = _verbs_called(_tree(commands()[name]))
-    assert sorted(called) == sorted({NAMED.get(name, name)} | MORE.get(name, set()))
+    assert set(called) == {NAMED.get(name, name)} | MORE.get(name, set())
 
 
 @pytest.mark.parametrize(("text", "found"), [
@@ -120,6 +130,7 @@ def test_a_strict_user_script_has_no_type_error(tmp_path: Path) -> None:
 from pathlib import Path
 
 import lacli
+import lacli.types
 
 
 def say(event: lacli.Progress) -> None:
@@ -128,14 +139,14 @@ def say(event: lacli.Progress) -> None:
 
 def study(folder: Path) -> float:
     (atrium,) = lacli.synthesize(folder / "la", seed=3, cell_size_mm=8.0, order=1, progress=say)
-    scene = lacli.load_scene(folder / "scene.toml", ["loads.edp_mmhg=8"])
-    result: lacli.RunResult = lacli.simulate(scene, store=folder / "runs", progress=say, cancel=lambda: False)
-    box = lacli.make_box(["alpha_roof"], [0.5], [2.0])
+    scene = lacli.types.load_scene(folder / "scene.toml", ["loads.edp_mmhg=8"])
+    result: lacli.types.RunResult = lacli.simulate(scene, store=folder / "runs", progress=say, cancel=lambda: False)
+    box = lacli.types.make_box(["alpha_roof"], [0.5], [2.0])
     made = lacli.design(folder / "runs.csv", scene=scene, box=box, count=8, progress=say)
-    table = lacli.read_runs(made.table, made.table)
+    table = lacli.types.read_runs(made.table, made.table)
     emulators = lacli.emulate(table, box=box).emulators
-    targets = lacli.read_targets(folder / "targets.toml")
-    answer = lacli.posterior(emulators, targets, folder / "posterior", box=box, settings=lacli.SamplingSettings(ess=100))
+    targets = lacli.types.read_targets(folder / "targets.toml")
+    answer = lacli.posterior(emulators, targets, folder / "posterior", box=box, settings=lacli.types.SamplingSettings(ess=100))
     if answer.refused:
         raise lacli.LacliError(answer.refused)
     return float(answer.best[0]) + float(result.features["esv_ml"]) + len(atrium.report)

@@ -14,12 +14,13 @@ from membranes import INPUTS, OUTPUTS, Membranes, box, respond
 from lacli.base.errors import InputError, LacliError, UsageError
 from lacli.calibration.sequential.calibration import calibrate_sequentially
 from lacli.calibration.sequential.evidence import Evidence, gather
+from lacli.calibration.sequential.fidelity.bridge import bridge
 from lacli.calibration.sequential.fidelity.corrected import Corrected, emulate
 from lacli.calibration.sequential.fidelity.correction import Correction, corrected, fit_correction
 from lacli.calibration.sequential.outputs import CHEAP, features_of
 from lacli.calibration.sequential.result import Sequential
 from lacli.calibration.sequential.scale import Scale
-from lacli.calibration.sequential.search import Reference, Settings
+from lacli.calibration.sequential.search import Reference, Search, Settings
 from lacli.contracts.targets import Targets
 from lacli.inference.runs import Outcome, RunLog, runs_identity
 from lacli.inference.sampling.posterior import Settings as Sampling
@@ -251,3 +252,22 @@ def test_a_correction_tells_its_slope(tmp_path: Path) -> None:
     at, h = np.array([0.4, 0.5, 0.6]), 1e-5
     ends = [(correction.mean((at + h * e)[None]) - correction.mean((at - h * e)[None]))[0] / (2 * h) for e in np.eye(3)]
     assert correction.slope(at) == pytest.approx(np.stack(ends, axis=1), abs=1e-4)
+
+
+class Lost(Membranes):
+    """A reference whose runs all fail."""
+
+    def __init__(self) -> None:
+        super().__init__(fail=lambda _: True)
+
+
+def test_a_reference_that_never_finishes_gives_no_correction_and_says_so(tmp_path: Path) -> None:
+    simulator, reference = Cheap(), Lost()
+    targets = Targets(OUTPUTS, respond(TRUTH)[0], np.full(len(OUTPUTS), SD))
+    search = Search(
+        simulator, box(), targets, QUICK, log_of(simulator, tmp_path / "runs_cheap.csv"), lambda _: None,
+        Reference(reference, log_of(reference, tmp_path / "runs.csv")),
+    )  # fmt: skip
+    evidence = search.run(np.vstack([TRUTH, TRUTH * 1.1, TRUTH * 0.9, TRUTH * 0.95]), "start")
+    with pytest.raises(LacliError, match=r"give no correction .*fewer than 2 finished with derivatives"):
+        bridge(search, evidence)

@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as arrays
 
 from lacli.base.errors import InputError
 from lacli.freefem import template
-from lacli.freefem.files import CELL_ORDER, FACE_ORDER, write_arrays, write_faces, write_medit
+from lacli.freefem.files import CELL_ORDER, FACE_ORDER, read_history, read_state, write_arrays, write_faces, write_medit
 from lacli.freefem.template import render_template
 
 
@@ -87,3 +87,28 @@ def test_a_name_that_is_missing_and_a_path_that_ends_a_string_are_refused(templa
         render_template("t.edp", None)
     with pytest.raises(ValueError, match="characters that a FreeFEM string cannot hold"):
         render_template("t.edp", Path('/x/"; exec("rm");//.so'))
+
+
+def test_a_history_s_numbers_are_found_by_name(tmp_path: Path) -> None:
+    file = tmp_path / "history.txt"
+    file.write_text("counts unknowns=12 newton=3\nstate_es min_j=0.5 pressure_kpa=2.6\nend\nstate_unloaded min_j=0.")
+    assert read_history(file) == {
+        "counts": {"newton": 3.0, "unknowns": 12.0}, "state_es": {"pressure_kpa": 2.6, "min_j": 0.5}, "end": {},
+    }  # fmt: skip
+    file.write_text("counts 12 3\n")
+    with pytest.raises(ValueError):
+        read_history(file)
+
+
+def test_a_state_s_columns_are_found_by_name(tmp_path: Path) -> None:
+    file = tmp_path / "es.txt"
+    x, reference = np.random.default_rng(2).random((2, 5, 3))
+    for names, columns in (("x y z X Y Z", (x, reference)), ("X Y Z x y z", (reference, x))):
+        np.savetxt(file, np.hstack(columns), header=names, comments="", fmt="%.17g")
+        again, rest = read_state(file, 5)
+        assert (again == x).all() and (rest == reference).all()
+    with pytest.raises(ValueError, match=r"es\.txt is incomplete"):
+        read_state(file, 6)
+    np.savetxt(file, np.hstack([x, reference]), header="x y z X Y W", comments="")
+    with pytest.raises(ValueError, match=r"es\.txt has no Z"):
+        read_state(file, 5)

@@ -163,7 +163,11 @@ def test_where_there_are_none_the_run_says_so(freefem: FreeFem, folder: Path, tm
 
 def test_an_unstable_state_has_none(folder: Path) -> None:
     case = plan.prepare(scene(folder, "outputs.frames=2"))
-    numbers = {"ed_modes": [7.0], "sensitivities_frame001": [0.0, 3.0, 0.0], "sensitivities_es": [0.0, 0.0, 4.0]}
+    numbers = {
+        "ed_modes": {"unstable": 7.0},
+        "sensitivities_frame001": {"given": 0.0, "unstable": 3.0, "wrong": 0.0},
+        "sensitivities_es": {"given": 0.0, "unstable": 0.0, "wrong": 4.0},
+    }
     said = sensitivities.statement(case, Results({}, numbers))
     assert said == {
         "given": False,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
@@ -17,14 +16,6 @@ from lacli.report.page import methods
 from lacli.report.page.references import SHORT, bibtex
 
 VALUES = np.arange(15.0).reshape(3, 5) + 1.0
-
-
-@pytest.fixture
-def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
-    figures: list[Figure] = []
-    close = plt.close
-    monkeypatch.setattr(plt, "close", lambda figure=None: figures.append(figure) if figure is not None else close("all"))
-    return figures
 
 
 def test_a_marker_a_patient_in_its_region_s_colour(tmp_path: Path, drawn: list[Figure]) -> None:

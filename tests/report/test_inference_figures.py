@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -22,23 +20,6 @@ from lacli.report import inference_figures, inference_figures_matching, inferenc
 
 INPUTS = ("alpha_roof", "esp_mmhg")
 BOX = make_box(INPUTS, [0.1, 10.0], [4.0, 30.0])
-
-
-@pytest.fixture
-def drawn(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Figure]]:
-    """The figures, kept open after they were saved."""
-    figures: list[Figure] = []
-    save = Figure.savefig
-
-    def keep(self: Figure, *arguments: Any, **options: Any) -> None:
-        save(self, *arguments, **options)
-        figures.append(self)
-
-    monkeypatch.setattr(Figure, "savefig", keep)
-    monkeypatch.setattr(plt, "close", lambda figure=None: None)
-    yield figures
-    monkeypatch.undo()
-    plt.close("all")
 
 
 def texts(figure: Figure) -> str:

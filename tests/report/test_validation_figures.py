@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
@@ -17,14 +16,6 @@ from lacli.motion.check.validation import Validation
 from lacli.report import calibration_figures, motion_figures, segmentation_figures, validation_figures
 
 TIMES = np.array([0.0, 0.2, 0.4, 0.7])
-
-
-@pytest.fixture
-def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
-    figures: list[Figure] = []
-    close = plt.close
-    monkeypatch.setattr(plt, "close", lambda figure=None: figures.append(figure) if figure is not None else close("all"))
-    return figures
 
 
 def test_tracked_points_and_simulated_lines_are_the_data(tmp_path: Path, drawn: list[Figure]) -> None:

@@ -18,19 +18,19 @@ from lacli.contracts.scene import load_scene
 from lacli.contracts.targets import read_targets
 from lacli.inference.box import published_box
 from lacli.synthetic import cohort
-from lacli.synthetic.cohort import ARMS, parameters_of, varying
+from lacli.synthetic.cohort import ARMS, drawn_parameters, varying
 
 
 @pytest.mark.parametrize("arm", ARMS)
 def test_only_one_arm_has_regions_that_differ(arm: cohort.Arm) -> None:
     box = published_box()
     for seed in range(200):
-        drawn = parameters_of(seed, arm)
+        drawn = drawn_parameters(seed, arm)
         alpha = [drawn[f"alpha_{region}"] for region in BODY_REGIONS]
         assert (len(set(alpha)) > 1) == (arm == "heterogeneous")
         for name, low, high in zip(box.names, box.lower, box.upper, strict=True):
             assert low < drawn[name] < high, name
-    assert parameters_of(1, arm) == parameters_of(1, arm) != parameters_of(2, arm)
+    assert drawn_parameters(1, arm) == drawn_parameters(1, arm) != drawn_parameters(2, arm)
 
 
 def test_the_wall_is_thin_here_and_thick_there() -> None:
@@ -71,7 +71,7 @@ def test_a_patient_is_what_a_study_reads(tmp_path: Path) -> None:
     sd = dict(zip(targets.names, targets.sd, strict=True))
     assert sd["d_roof_mm"] == 0.35 and sd["esv_ml"] == pytest.approx(0.01 * truth["features"]["edv_ml"])
     truths = pd.read_csv(home / "truths.csv")
-    assert truths.loc[0, "alpha_roof"] == parameters_of(1, "thickness")["alpha_roof"]
+    assert truths.loc[0, "alpha_roof"] == drawn_parameters(1, "thickness")["alpha_roof"]
     assert not (home / "sub-01" / "truth_bundle").exists()  # what is calibrated knows nothing of it
     written = (home / "sub-01" / "targets.toml").stat().st_mtime_ns
     anatomy.synthesize(home, **options)  # type: ignore[arg-type]

@@ -17,7 +17,7 @@ from lacli.cli.terminal.scenes import read_scene
 from lacli.cli.terminal.tables import BoxFile, Fresh, Json, Retry, Seed
 
 if TYPE_CHECKING:
-    from lacli.api.calibration import Calibrated, Recovered
+    from lacli.api.methods.calibrated import Calibrated, Recovered
     from lacli.api.progress import Progress
     from lacli.calibration.calibration import Calibration, WaveReport
     from lacli.inference.box import Box
@@ -168,9 +168,9 @@ def command(
         scene = read_scene(scene_file, overrides, box)
     if synthetic and scene is not None and box is not None:
         with _dashboard() as show:
-            recovered = api.recover(
-                scene, folder, truth=_truth(truth, box), box=box, settings=settings, store=root, workers=workers,
-                scheduler=scheduler, fresh=fresh, figures=figures, progress=show,
+            recovered = api.calibrate(
+                scene, None, folder, method="published", truth=_truth(truth, box), box=box, settings=settings, store=root,
+                workers=workers, scheduler=scheduler, fresh=fresh, figures=figures, progress=show,
             )  # fmt: skip
         _show_recovery(recovered, as_json, time.monotonic() - begin)
         return
@@ -178,7 +178,7 @@ def command(
     targets = read_targets(targets_file)
     with _dashboard() as show:
         found = api.calibrate(
-            scene, targets, folder, table=from_table, box=box, settings=settings, store=root, workers=workers,
+            scene, targets, folder, method="published", table=from_table, box=box, settings=settings, store=root, workers=workers,
             scheduler=scheduler, sensitivities=sensitivities, fresh=fresh, retry=retry, figures=figures, progress=show,
             discretisation=discretisation,
         )  # fmt: skip
@@ -187,7 +187,7 @@ def command(
 
 def _default_method(scene_file: Path, overrides: list[str] | None) -> str:
     """Sequential where the scene's runs can tell derivatives; published otherwise, with a word."""
-    from lacli.api.sequential import lacking
+    from lacli.api.methods.sequential import lacking
     from lacli.contracts.scene import load_scene
 
     if words := lacking(load_scene(scene_file, overrides or [])):
@@ -249,11 +249,12 @@ def _dashboard() -> Iterator[Callable[[Progress], None]]:
 
 
 def _finish(found: Calibrated, as_json: bool, wall_s: float) -> None:
-    from lacli.calibration.calibration import document
+    from lacli.calibration.calibration import Calibration, document
 
     for note in found.notes:
         err.print(f"note: {note}", highlight=False, soft_wrap=True)
     result = found.result
+    assert isinstance(result, Calibration)
     if as_json:
         print_json({**document(result), "wall_s": wall_s, "pictures": [str(p) for p in found.pictures]})
     else:

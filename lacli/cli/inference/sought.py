@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 def show_forecast(scene: Scene, targets: Targets, folder: Path, as_json: bool, **options: Any) -> None:
     """What the targets can teach, as a table."""
-    from lacli.api.sequential import foresee
+    from lacli.api.calibration import calibrate
     from lacli.inference.sampling.posterior import learnt
 
     with _told() as show:
-        found = foresee(scene, targets, folder, progress=show, **options)
+        found = calibrate(scene, targets, folder, method="sequential", forecast=True, progress=show, **options)
     rows = found.rows()
     if as_json:
         print_json({"runs": found.runs, "targets": len(targets.names), "inputs": rows})
@@ -38,14 +38,15 @@ def show_forecast(scene: Scene, targets: Targets, folder: Path, as_json: bool, *
 
 def seek_and_show(scene: Scene, targets: Targets, folder: Path, as_json: bool, **options: Any) -> None:
     """Calibrate, and say what came of it. Raises LacliError where the answer is none."""
-    from lacli.api.sequential import seek
-    from lacli.calibration.sequential.result import document
+    from lacli.api.calibration import calibrate
+    from lacli.calibration.sequential.result import Sequential, document
     from lacli.inference.sampling.posterior import learnt
 
     begin = time.monotonic()
     with _told() as show:
-        found = seek(scene, targets, folder, progress=show, **options)
+        found = calibrate(scene, targets, folder, method="sequential", progress=show, **options)
     result, wall_s = found.result, time.monotonic() - begin
+    assert isinstance(result, Sequential)
     for note in result.notes:
         err.print(f"note: {note}", highlight=False, soft_wrap=True)
     if as_json:
@@ -77,9 +78,9 @@ def seek_and_show(scene: Scene, targets: Targets, folder: Path, as_json: bool, *
 
 def show_prices(scene: Scene, targets: Targets, folder: Path, as_json: bool, **options: Any) -> None:
     """What the calibration costs at most, as a table."""
-    from lacli.api.sequential import prices
+    from lacli.api.calibration import calibrate
 
-    found = prices(scene, targets, folder, **options)
+    found = calibrate(scene, targets, folder, method="sequential", dry_run=True, **options)
     if as_json:
         print_json({"simulations": [{"name": p.name, "runs": p.runs, "cpu_s": p.cpu_s, "each": vars(p.each)} for p in found]})
         return

@@ -8,7 +8,6 @@ from typing import Annotated, Any
 import typer
 
 from lacli.api import mechanics
-from lacli.api.numerics import calibration_tradeoff
 from lacli.base.errors import UsageError
 from lacli.cli.terminal.console import out, print_json, print_table, stages
 from lacli.cli.terminal.live import LiveLine
@@ -118,10 +117,9 @@ def _calibration(
     box = read_box(box_file) if box_file else published_box()
     scene, targets = read_scene(scene_file, overrides, box), read_targets(targets_file)
     with stages() as show:
-        found = calibration_tradeoff(
-            scene, targets, meshes=[finer] if finer else [], box=box, tolerance_sd=tolerance_sd, store=root, figures=True,
-            progress=show,
-        )  # fmt: skip
+        found = mechanics.tradeoff(
+            scene, targets, finer=finer, box=box, tolerance_sd=tolerance_sd, store=root, figures=True, progress=show
+        )
     if as_json:
         print_json(
             {

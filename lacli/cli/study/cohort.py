@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from lacli.api import study
+from lacli.api import cohort
 from lacli.base.errors import LacliError, UsageError
 from lacli.cli.terminal.console import err, out, print_json, print_table, stages
 from lacli.cli.terminal.scenes import read_scene
@@ -42,25 +42,19 @@ def command(
     _check_options(settings)
     if slurm + (scheduler is not None) + (script is not None) > 1:
         raise UsageError("--scheduler, --slurm or --write-slurm: one of them.")
+    options: dict[str, Any] = {"scene": scene, "settings": settings, "only": only or ()}
     if dry_run or script is not None:
-        rows = study.plan_cohort(participants, folder, scene=scene, settings=settings, only=only or ())
-        if script is not None:
-            if only:
-                raise UsageError("--write-slurm writes a task for every participant; leave --only out.")
-            study.write_slurm(participants, folder, script, scene=scene, settings=settings)
-        cost = study.cohort_cost(rows, folder, settings)
+        plan = cohort.run_cohort(participants, folder, dry_run=True, script=script, **options)
         if as_json:
-            print_json({"steps": [asdict(row) for row in rows], "cost": cost, "script": script})
+            print_json({"steps": [asdict(row) for row in plan.steps], "cost": plan.cost, "script": script})
             return
-        print_table("Steps", ["participant", "step", "state"], [[r.participant_id, r.step, r.state] for r in rows])
-        for row in rows if dry_run else ():
+        print_table("Steps", ["participant", "step", "state"], [[r.participant_id, r.step, r.state] for r in plan.steps])
+        for row in plan.steps if dry_run else ():
             out.print(row.command, highlight=False, soft_wrap=True)
-        out.print(_cost_words(cost), highlight=False, soft_wrap=True)
+        out.print(_cost_words(plan.cost), highlight=False, soft_wrap=True)
         return
     with stages() as show:
-        found = study.run_cohort(
-            participants, folder, scene=scene, settings=settings, only=only or (), scheduler=scheduler, slurm=slurm, progress=show
-        )
+        found = cohort.run_cohort(participants, folder, scheduler=scheduler, slurm=slurm, progress=show, **options)
     for note in found.summary["notes"]:
         warn(note)
     if as_json:

@@ -33,8 +33,11 @@ _SPREAD = 0.15  # of the box: runs within it are as near as can be told
 
 @dataclass(frozen=True)
 class Cost:
-    """unknowns of displacements and pressures; cpu_s, peak_memory_mb; ``runs``: finished runs that it was corrected by (0: none
-    here, the machine is taken for the one the constants are from)."""
+    """What a simulation will cost, in CPU seconds and MB.
+
+    unknowns: of displacements and pressures; runs: finished runs that it was corrected by (0: none here, the machine is taken
+    for the one the constants are from).
+    """
 
     unknowns: int
     cpu_s: float

@@ -160,14 +160,19 @@ void scatter(System &s, int block, int na, int nb, const double *K, int la, int 
     }
 }
 
-// laAssemble(task, y, X, R): task 0 residual, 1 and symmetric tangent, 2 and unsymmetric tangent, 3 and inverse tangent;
-// 4 residual of the prestrain problem, where y = (v | p) and X is the image, 5 and its tangent, which is not symmetric.
+// what laAssemble makes (names.idp has the same): the residual, or it and the symmetric, the unsymmetric, the inverse problem's
+// tangent; of the prestrain problem, where y = (v | p) and X is the image, the residual, or it and its tangent (not symmetric)
+enum Asked { RESIDUAL, SYMMETRIC, UNSYMMETRIC, INVERSE, PRESTRAIN_RESIDUAL, PRESTRAIN };
+
+// laAssemble(asked, y, X, R):
 // y = (x | y | z | p) deformed positions and pressures, X = (X | Y | Z). 0, or 1 where a cell is inverted or too far strained.
-long laAssemble(long const &mode, KN<double> *const &y, KN<double> *const &reference, KN<double> *const &residual) {
+long laAssemble(long const &asked, KN<double> *const &y, KN<double> *const &reference, KN<double> *const &residual) {
   Model &P = *the;
   System &s = P.system;
-  const bool pre = mode >= 4, sym = mode == 1;
-  const Task task = mode == 0 || mode == 4 ? Task::residual : mode == 3 || mode == 5 ? Task::inverse : Task::forward;
+  const bool pre = asked == PRESTRAIN_RESIDUAL || asked == PRESTRAIN, sym = asked == SYMMETRIC;
+  const Task task = asked == RESIDUAL || asked == PRESTRAIN_RESIDUAL ? Task::residual
+                    : asked == INVERSE || asked == PRESTRAIN         ? Task::inverse
+                                                                     : Task::forward;
   const double *anchor = P.anchor.empty() ? &(*reference)[0] : P.anchor.data();
   if (task != Task::residual) s.clear(sym);
   KN<double> &R = *residual;
@@ -186,7 +191,7 @@ long laAssemble(long const &mode, KN<double> *const &y, KN<double> *const &refer
     for (int i = 0; i < 4; ++i) p[i] = (*y)[3L * P.nU + P.pressures[4 * k + i]];
     const double *fibres = &P.fibres[(size_t)k * P.rule.n * 3];
     const double *stretch = P.stretch.empty() ? nullptr : &P.stretch[(size_t)k * P.rule.n * 9];
-    const bool fine = pre ? prestrain_integral(P.rule, P.cells[k], X, x, p, fibres, P.viscosity, mode == 5, c)
+    const bool fine = pre ? prestrain_integral(P.rule, P.cells[k], X, x, p, fibres, P.viscosity, asked == PRESTRAIN, c)
                           : cell_integral(P.rule, P.cells[k], X, x, p, fibres, stretch, P.viscosity, task, c);
     P.minJ = std::min(P.minJ, c.minJ), P.minJX = std::min(P.minJX, c.minJX);
     if (!fine) return 1;
@@ -253,11 +258,14 @@ long laMultiply(KN<double> *const &v, KN<double> *const &y) {
   return 0;
 }
 
-// laState([min J, min det X, energy kPa mm3, cavity volume mm3, negative pivots])
+// what laState tells, in this order (names.idp has the same): least J and det X, energy kPa mm3, cavity volume mm3, negative pivots
+enum Told { MIN_J, MIN_JX, ENERGY, VOLUME, NEGATIVE, TOLD };
+
+// laState(Told)
 long laState(KN<double> *const &out) {
   Model &P = *the;
-  const double v[5] = {P.minJ, P.minJX, P.energy, P.volume, (double)P.negative};
-  for (int i = 0; i < 5 && i < out->N(); ++i) (*out)[i] = v[i];
+  const double v[TOLD] = {P.minJ, P.minJX, P.energy, P.volume, (double)P.negative};
+  for (int i = 0; i < TOLD && i < out->N(); ++i) (*out)[i] = v[i];
   return 0;
 }
 

@@ -1,4 +1,4 @@
-"""What the numerics do to the answer, in one call."""
+"""What the numerics do to the posterior of a calibration."""
 
 from __future__ import annotations
 

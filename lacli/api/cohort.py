@@ -1,0 +1,250 @@
+"""A whole study in one call: what is planned, what it costs, and the doing, here or as a SLURM array."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lacli.base.errors import InputError, LacliError, UsageError
+
+if TYPE_CHECKING:
+    from lacli.api.progress import Cancel, OnProgress
+    from lacli.cohort.participants import Participant
+    from lacli.cohort.steps import Step
+    from lacli.cohort.study import Outcome, Planned
+
+    Patients = list[tuple[Participant, list[Step]]]
+
+PLAIN_PATH = re.compile(r"[A-Za-z0-9_./+-]+")  # in a batch script's header nothing can be quoted
+OF_WAVES = ("first-runs", "wave-runs", "max-waves", "hours", "prior")  # options of a calibration by the published method
+
+
+@dataclass(frozen=True)
+class Cohort:
+    """A study: its steps as they stood before the call, and where they were done, each patient's outcome and a summary.
+
+    cost of what was to do: ``calibrations``, ``runs_each`` at most, ``cpu_s_per_run`` (CPU seconds; the median of the study's
+    runs so far, or None). summary: counts, misfit of the models over patients, notes. Of a dry run and of a script for SLURM,
+    outcomes and summary are empty.
+    """
+
+    steps: tuple[Planned, ...]
+    cost: dict[str, Any]
+    outcomes: tuple[Outcome, ...] = ()
+    summary: dict[str, Any] = field(default_factory=dict)
+
+
+def run_cohort(
+    participants: Path,
+    folder: Path,
+    *,
+    scene: Path | None = None,
+    settings: Path | None = None,
+    only: Sequence[str] = (),
+    scheduler: str | None = None,
+    slurm: bool = False,
+    dry_run: bool = False,
+    script: Path | None = None,
+    progress: OnProgress | None = None,
+    cancel: Cancel | None = None,
+) -> Cohort:
+    """Every patient of a table: mesh, fat, track, calibrate, compare, as far as it has the files, and the tables.
+
+    Each step is a call of ``lacli`` in a process of its own; what is done is found again by content. only: these patients (the
+    tables hold all that are done, in the units of their columns' names). A patient who fails is an outcome. scheduler: address
+    of a Dask scheduler, whose workers take a patient each and see the same files; slurm: such workers as SLURM jobs of the
+    settings' ``[slurm]``. dry_run: steps, their state and cost are told, nothing is run; script: neither, and a SLURM array
+    script, a task a patient, is written there. Raises TableError, UsageError, InputError before anything is run, StorageError,
+    Cancelled, LacliError where the scheduler is lost (what is done is kept).
+    """
+    from lacli.base.files import check_folder
+    from lacli.cohort.study import planned
+
+    if slurm + (scheduler is not None) + (script is not None) > 1:
+        raise UsageError("cohort: a scheduler, SLURM's own jobs, or a script for SLURM: one of them.")
+    if script is not None and only:
+        raise UsageError("--write-slurm writes a task for every participant; leave --only out.")
+    if not dry_run and script is None:
+        check_folder(folder)
+    home = folder.absolute()
+    chosen = _patients(participants, folder, scene, settings, only)
+    rows = {patient.identifier: planned(patient, steps, home / patient.identifier) for patient, steps in chosen}
+    steps = tuple(row for of_patient in rows.values() for row in of_patient)
+    cost = _cost(chosen, steps, folder, settings)
+    if script is not None:
+        _write_slurm(participants, folder, script, scene, settings, list(rows))
+    if dry_run or script is not None:
+        return Cohort(steps, cost)
+    if slurm:
+        found = _on_slurm(chosen, home, settings, progress, cancel)
+    elif scheduler is not None:
+        found = _on_cluster(chosen, home, scheduler, progress, cancel)
+    else:
+        found = _here(chosen, home, progress, cancel)
+    outcomes, summary = _gathered(participants, folder, {outcome.participant_id: outcome for outcome in found})
+    return Cohort(steps, cost, outcomes, summary)
+
+
+def _here(chosen: Patients, home: Path, progress: OnProgress | None, cancel: Cancel | None) -> Iterator[Outcome]:
+    """One patient after the other."""
+    from lacli.api.progress import Stage
+    from lacli.cohort.study import run
+
+    for patient, steps in chosen:
+        stage = Stage(patient.identifier, len(steps), progress, cancel).begin()
+        begun: list[str] = []
+
+        def tick(name: str, stage: Stage = stage, begun: list[str] = begun) -> None:
+            begun.append(name)
+            stage.reach(len(begun) - 1)
+
+        wanted = (lambda: not cancel()) if cancel is not None else (lambda: True)
+        yield run(patient, steps, home / patient.identifier, tick, wanted)
+        stage.reach(len(steps))
+
+
+def _on_cluster(
+    chosen: Patients,
+    home: Path,
+    scheduler: str,
+    progress: OnProgress | None,
+    cancel: Cancel | None,
+    left: Callable[[int], None] = lambda count: None,
+) -> Iterator[Outcome]:
+    """Outcomes as they come; ``left`` is told about each second how many are to come."""
+    from lacli.api.progress import Stage, check
+    from lacli.cohort.cluster import patients_on_cluster
+
+    stages = [Stage(patient.identifier, len(steps), progress, cancel) for patient, steps in chosen]
+    names = [[step.name for step in steps] for _, steps in chosen]
+    count = len(chosen)
+
+    def look() -> None:
+        check(cancel, "the study")
+        left(count)
+
+    def begun(index: int, name: str) -> None:
+        stages[index].reach(names[index].index(name))
+
+    for index, outcome in patients_on_cluster(chosen, home, scheduler, begun, look):
+        count -= 1
+        stages[index].reach(len(names[index]))
+        yield outcome
+
+
+def _on_slurm(
+    chosen: Patients,
+    home: Path,
+    settings: Path | None,
+    progress: OnProgress | None,
+    cancel: Cancel | None,
+) -> Iterator[Outcome]:
+    from lacli.cohort.slurm import workers
+    from lacli.cohort.steps import read_settings
+
+    logs = _slurm_folder(home)
+    with workers(read_settings(settings), logs) as (address, keep):
+        keep(len(chosen))
+        yield from _on_cluster(chosen, home, address, progress, cancel, keep)
+
+
+def _slurm_folder(home: Path) -> Path:
+    """Where SLURM's jobs say what they have to say. Raises UsageError, StorageError."""
+    from lacli.base.files import check_folder
+
+    logs = home / "slurm"
+    if not PLAIN_PATH.fullmatch(str(logs)):
+        raise UsageError(f"{logs}: SLURM takes no path with such letters; choose another --out.")
+    check_folder(logs)
+    logs.mkdir(parents=True, exist_ok=True)
+    return logs
+
+
+def _gathered(participants: Path, folder: Path, outcomes: dict[str, Outcome]) -> tuple[tuple[Outcome, ...], dict[str, Any]]:
+    """With those of earlier calls, in the table's order, and the study's tables and summary."""
+    from lacli.cohort.analysis.summary import write_summary
+    from lacli.cohort.participants import read_participants
+    from lacli.cohort.study import known_outcome
+
+    every, home = read_participants(participants), folder.absolute()
+    for patient in every:
+        if patient.identifier not in outcomes and (known := known_outcome(home / patient.identifier)) is not None:
+            outcomes[patient.identifier] = known
+    ordered = tuple(outcomes[p.identifier] for p in every if p.identifier in outcomes)
+    return ordered, write_summary(folder, every, ordered)
+
+
+def _cost(chosen: Patients, rows: Sequence[Planned], folder: Path, settings: Path | None) -> dict[str, Any]:
+    from lacli.cohort.analysis.summary import median_cpu_s
+    from lacli.cohort.steps import read_settings
+
+    given = read_settings(settings).options.get("calibrate", {})
+    todo = {row.participant_id for row in rows if row.step == "calibrate" and row.state != "done"}
+    steps = [step for patient, steps in chosen if patient.identifier in todo for step in steps if step.name == "calibrate"]
+    simulated = [step for step in steps if "--from-table" not in step.arguments]
+    each = max((runs_at_most(step, given) for step in simulated), default=0)
+    return {"calibrations": len(simulated), "runs_each": each, "cpu_s_per_run": median_cpu_s(folder)}
+
+
+def runs_at_most(step: Step, given: Mapping[str, Any]) -> int:
+    """Runs of a calibration's step at most, with these options: of the sequential method, or where they or the scene ask for
+    it, of the published one."""
+    from lacli.calibration.calibration import Settings as Published
+    from lacli.calibration.sequential.search import Settings as Sequential
+
+    method = given.get("method")
+    if method is None:
+        published = given.get("sensitivities") is False or any(name in given for name in OF_WAVES) or _tells_none(step)
+        method = "published" if published else "sequential"
+    if method == "sequential":
+        return int(given.get("max-runs", Sequential.max_runs))
+    default, names = Published(), ("first_runs", "wave_runs", "max_waves", "max_runs")
+    first, following, waves, most = (int(given.get(name.replace("_", "-"), getattr(default, name))) for name in names)
+    return min(most, first + following * (waves - 1))
+
+
+def _tells_none(step: Step) -> bool:
+    """Whether runs of the step's scene tell no derivatives; a scene that cannot be read fails later, with its reason."""
+    from lacli.api.methods.sequential import lacking
+    from lacli.contracts.scene import load_scene
+
+    words = step.arguments
+    try:
+        return bool(lacking(load_scene(Path(words[1]), [words[i + 1] for i, word in enumerate(words) if word == "--set"])))
+    except LacliError:
+        return False
+
+
+def _write_slurm(
+    participants: Path, folder: Path, script: Path, scene: Path | None, settings: Path | None, identifiers: list[str]
+) -> None:
+    import sys
+
+    from lacli.base.files import write_text
+    from lacli.cohort.slurm import array_script
+    from lacli.cohort.steps import read_settings
+
+    logs = _slurm_folder(folder.absolute())
+    call = ["cohort", str(participants.absolute()), "--out", str(folder.absolute())]
+    for option, file in (("--scene", scene), ("--settings", settings)):
+        call += [option, str(file.absolute())] if file is not None else []
+    write_text(script, array_script(sys.executable, call, identifiers, read_settings(settings), logs))
+
+
+def _patients(participants: Path, folder: Path, scene: Path | None, settings: Path | None, only: Sequence[str]) -> Patients:
+    from lacli.cohort.participants import check_targets, read_participants
+    from lacli.cohort.steps import read_settings, steps_of
+
+    if scene is not None and not scene.is_file():
+        raise InputError(f"{scene}: no such scene.")
+    every, shared = read_participants(participants), read_settings(settings)
+    missing = [name for name in only if name not in [p.identifier for p in every]]
+    if missing:
+        raise UsageError(f"{participants}: no participant {', '.join(missing)}.")
+    check_targets(every, participants)
+    own = None if scene is None else scene.absolute()
+    chosen = [p for p in every if not only or p.identifier in only]
+    return [(p, steps_of(p, shared, folder.absolute() / p.identifier, own)) for p in chosen]

@@ -1,0 +1,61 @@
+"""What a calibration costs before any run: by kind of run, corrected by the finished runs of a folder."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from shapes import hollow_cube
+
+import lacli
+import lacli.types
+from lacli.calibration.price import price
+from lacli.cli.inference.sought import time_of
+from lacli.contracts.bundle import save
+from lacli.contracts.identity import run_key
+from lacli.contracts.scene import Scene, build_scene, dump_scene
+from lacli.mechanics.numerics.cost import expected
+from lacli.mechanics.numerics.earlier import earlier
+from lacli.mechanics.store import open_run
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Scene:
+    save(hollow_cube(), tmp_path / "la")
+    return build_scene({"anatomy": {"bundle": "la"}}, [], folder=tmp_path, where="test")
+
+
+def keep(scene: Scene, store: Path, cpu_s: float) -> None:
+    """A finished run of the scene, which took so long."""
+    with open_run(store, run_key(scene)) as run:
+        (run.folder / "scene.toml").write_text(dump_scene(scene), encoding="utf-8")
+        features = {"unknowns": 256, "cpu_s": cpu_s, "peak_memory_mb": 50.0}
+        (run.folder / "features.json").write_text(json.dumps(features), encoding="utf-8")
+        run.finish(products=["scene.toml", "features.json"])
+
+
+def test_runs_times_what_one_takes_and_finished_runs_correct_it(scene: Scene, tmp_path: Path) -> None:
+    bundle = hollow_cube()
+    plain = price("own", scene, 60, earlier(tmp_path / "runs"))
+    assert plain.cpu_s == 60 * expected(scene, bundle, []).cpu_s and plain.each.runs == 0
+    keep(scene, tmp_path / "runs", 3.0 * plain.each.cpu_s)
+    assert [found.scene for found in earlier(tmp_path / "runs")] == [scene]
+    corrected = price("own", scene, 10, earlier(tmp_path / "runs"))
+    assert corrected.each.runs == 1 and corrected.cpu_s > 1.5 * 10 * plain.each.cpu_s
+
+
+def test_a_calibration_s_price_is_told_by_kind_of_run_and_nothing_is_run(scene: Scene, tmp_path: Path) -> None:
+    targets = lacli.Targets(("esv_ml",), [90.0], [4.0])  # type: ignore[arg-type]
+    settings = lacli.types.SequentialSettings(max_runs=40, reference_runs=9)
+    (own,) = lacli.calibrate(scene, targets, tmp_path / "c", settings=settings, dry_run=True)
+    assert (own.name, own.runs) == ("the scene's own", 40)
+    own, cheap = lacli.calibrate(scene, targets, tmp_path / "c", settings=settings, cheap=["order=1"], dry_run=True)
+    assert (own.runs, cheap.runs, cheap.name) == (9, 40, "cheap: order=1")
+    assert cheap.each.cpu_s < own.each.cpu_s
+    assert not (tmp_path / "c").exists()
+
+
+@pytest.mark.parametrize(("seconds", "words"), [(0.4, "0 min 00 s"), (75.0, "1 min 15 s"), (7384.0, "2 h 03 min")])
+def test_a_time_is_in_words(seconds: float, words: str) -> None:
+    assert time_of(seconds) == words

@@ -1,0 +1,65 @@
+"""What tracking leaves: the same numbers come back by the readers, and no other files are overwritten."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import pyvista as pv
+from shapes import hollow_cube
+
+from lacli.anatomy.surface_features import Endocardium
+from lacli.base.errors import StorageError
+from lacli.contracts.targets import read_targets
+from lacli.motion.patient import Tracked
+from lacli.motion.store import COVARIANCE, check_replaceable, write_covaried, write_series
+from lacli.motion.targets import Course, measured
+from lacli.motion.uncertainty import ErrorModel
+
+TIMES = np.array([0.0, 0.2, 0.4, 0.6, 0.8])
+STRETCH = 1.0 + 0.1 * np.sin(np.pi * TIMES / 0.8)
+
+
+@pytest.fixture(scope="module")
+def course() -> Course:
+    bundle = hollow_cube()
+    return Course.of(Endocardium.of(bundle), TIMES, (STRETCH[:, None, None] - 1.0) * bundle.points)
+
+
+def test_targets_come_back_with_their_covariance(course: Course, tmp_path: Path) -> None:
+    keys = tuple(course.features[0])
+    model = ErrorModel(keys, np.linspace(0.1, 0.3, len(keys)), np.eye(len(keys)), 0.3, 20)
+    found = measured(course, model)
+    write_covaried(tmp_path, found, course.phases, "greedy")
+    back = read_targets(tmp_path / "targets.toml")
+    assert back.names == found.targets.names
+    assert back.mean == pytest.approx(found.targets.mean) and back.sd == pytest.approx(found.targets.sd)
+    assert back.covariance == pytest.approx(found.covariance)
+    assert isinstance(Tracked(course, model, [], None, None).course, Course)
+
+
+def test_the_series_has_every_frame_s_displacement(course: Course, tmp_path: Path) -> None:
+    bundle = hollow_cube()
+    series = write_series(tmp_path / "frames", bundle, course.surface, TIMES, course.positions)
+    listed = re.findall(r'timestep="([\d.]+)" file="(.+?)"', series.read_text(encoding="utf-8"))
+    assert [float(t) for t, _ in listed] == pytest.approx(TIMES.tolist())
+    for (_, name), stretch in zip(listed, STRETCH, strict=True):
+        frame = pv.read(series.parent / name)
+        at = np.asarray(frame.point_data["wall_point"])
+        assert np.asarray(frame.points) == pytest.approx(stretch * bundle.points[at], abs=1e-4)
+        assert np.asarray(frame.point_data["displacement"]) == pytest.approx((stretch - 1.0) * bundle.points[at], abs=1e-6)
+    assert pd.DataFrame(course.features)["volume_ml"].to_numpy() == pytest.approx(
+        course.features[0]["volume_ml"] * STRETCH**3, rel=1e-9
+    )
+
+
+def test_only_what_tracking_wrote_is_replaced(tmp_path: Path) -> None:
+    check_replaceable(tmp_path)
+    (tmp_path / COVARIANCE).write_bytes(b"somebody's")
+    with pytest.raises(StorageError, match=f"holds {COVARIANCE} that `lacli track` did not write"):
+        check_replaceable(tmp_path)
+    (tmp_path / "tracking.json").write_text("{}")
+    check_replaceable(tmp_path)
