@@ -42,8 +42,8 @@ FILE, RESULT = "calibration.json", "result.json"
 _MODE = 25.0  # excess of chi^2 up to which a second minimum has a share in the posterior
 _LOCAL = 12.0  # Mahalanobis distance up to which a run takes part in the local emulator
 _DESCENT_ROUNDS = 24
-_OF_REFERENCE, _LEAST_OF_REFERENCE = 2, 4  # of its runs at a time; so many before it is believed what it corrects
-_PART = 0.7  # of the error's share that one part of it may have: both together are as the root of the sum of their squares
+_OF_REFERENCE, _LEAST_OF_REFERENCE = 2, 3  # of its runs at a time; so many before it is believed what it corrects
+_BUDGETS = ("max_runs", "reference_runs", "share", "correction_share", "mcmc")
 PARTS: tuple[Part, Part] = ("emulator", "correction")
 _AT_ONCE = 3  # runs of the check of the box between two looks
 
@@ -94,8 +94,11 @@ def calibrate_sequentially(
     if len(known_after) > len(known):  # a mode that the first look missed: around it too
         known = known_after
         chain, evidence, moved, local, stopped = _refine(search, evidence, known, folder)
-    answer, _ = descent.lowest(local, evidence.z[int(np.argmin(evidence.misfit))])
-    evidence = (search.run if reference is None else search.refer)(answer[None], "at the most probable point")
+    answer, misfit = descent.lowest(local, evidence.z[int(np.argmin(evidence.misfit))])
+    if reference is None:
+        evidence = search.run(answer[None], "at the most probable point")
+    elif evidence.misfit[evidence.own].min() - misfit > descent.SETTLED:
+        evidence = search.refer(answer[None], "at the most probable point")
     result = result_of(search, evidence, known, local, components, chain, moved, swept, map_runs, stopped)
     write_json(folder / RESULT, {"identity": identity.digest, **document(result)})
     return result
@@ -125,7 +128,7 @@ def forecast_sequentially(
 def sequential_identity(box: Box, targets: Targets, settings: Settings, runs: Any, reference: Any = None) -> Identity:
     """What determines the calibration: box, targets, settings but for budgets, its runs, and those of the reference if the runs
     are cheap ones."""
-    chosen = {k: v for k, v in asdict(settings).items() if k not in ("max_runs", "reference_runs", "share", "mcmc")}
+    chosen = {k: v for k, v in asdict(settings).items() if k not in _BUDGETS}
     sampling = {k: v for k, v in asdict(settings.mcmc).items() if k not in mcmc.STOPPING}
     dear = {} if reference is None else {"reference": reference}
     return identify(
@@ -245,26 +248,31 @@ def _refine(
         rng = np.random.default_rng([settings.seed, 2, round_])
         points, effective = draw(components, search.scale, known, settings.seed + round_)
         moved = change.expected_change(components, points, rng)
-        enough = search.reference is None or int(evidence.own.sum()) >= _LEAST_OF_REFERENCE
-        if moved.max() < settings.share and effective > LEAST_EFFECTIVE and enough:
+        of_runs, of_correction, enough = moved, np.zeros(1), True
+        if search.reference is not None:
+            of_runs, of_correction = (change.expected_change(components, points, rng, part) for part in PARTS)
+            enough = int(evidence.own.sum()) >= _LEAST_OF_REFERENCE and of_correction.max() < settings.correction_share
+        if of_runs.max() < settings.share and effective > LEAST_EFFECTIVE and enough:
             stopped = f"the emulator's error moves the posterior's mean by less than {settings.share:g} of its sd in every input"
+            if search.reference is not None:
+                stopped += f", the correction's by less than {settings.correction_share:g}"
             break
         before = len(search.x) + len(search.dear)
         count = min(settings.first_runs if round_ == 1 else settings.batch, search.left - reserve)
-        dear = 0
-        if search.reference is not None:
-            # each part of the error by the runs that lessen it
-            of_runs, of_correction = (change.expected_change(components, points, rng, part).max() for part in PARTS)
-            dear = min(_OF_REFERENCE, search.dear_left - 1) if not enough or of_correction > _PART * settings.share else 0
-            count = count if round_ == 1 or of_runs > _PART * settings.share or dear <= 0 else 0
+        # each part of the error by the runs that lessen it
+        wanted = 0 if enough else _OF_REFERENCE if of_correction.max() > 2.0 * settings.correction_share else 1
+        dear = min(wanted, search.dear_left - 1)
+        if round_ > 1 and of_runs.max() < settings.share and effective > LEAST_EFFECTIVE:
+            count = 0
         if max(count, dear) <= 0:
             stopped = f"{settings.max_runs} runs were allowed"
             if search.reference is not None:
                 stopped += f", {settings.reference_runs} of the reference"
             worst = int(np.argmax(moved))
+            more = "--max-runs" if of_runs.max() > of_correction.max() else "--reference-runs"
             search.notes.append(
                 f"the emulator's error may still move the mean of {search.box.names[worst]} by {moved[worst]:.2f} of its sd "
-                f"(asked: {settings.share:g}); more runs (--max-runs) would settle it."
+                f"(asked: {settings.share:g}); more runs ({more}) would settle it."
             )
             break
         if count > 0:

@@ -20,9 +20,7 @@ from lacli.calibration.sequential.fidelity import corrected
 _RADIUS = 0.35  # of a trial's step, in widths of the box
 _SAME = 0.02  # two trials as near as this are one
 _DAMPING = 1e-3  # first, of the mean diagonal of J' J
-_SETTLED = (
-    0.5  # decrease of chi^2 still expected, below which a point is the lowest: a quarter of a posterior sd in one direction
-)
+SETTLED = 0.5  # decrease of chi^2 still expected, below which a point is the lowest: a quarter of a posterior sd in one direction
 
 
 @dataclass(frozen=True)
@@ -88,7 +86,7 @@ def trials(evidence: Evidence, incumbents: list[Incumbent], components: Componen
     if components is not None:
         z, misfit = lowest(components, best.z, best.radius)
         found.append(Trial(z, now - misfit, order[0]))
-        if max(now - misfit, expected) < _SETTLED and best.radius > 0.05:
+        if max(now - misfit, expected) < SETTLED and best.radius > 0.05:
             return []
     for i in order[1:]:
         if len(found) > 1 and np.abs(found[0].z - found[1].z).max() > _SAME:

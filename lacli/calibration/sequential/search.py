@@ -25,7 +25,8 @@ class Settings:
     starts of the search (>= 4); first_runs around the most probable point, drawn from a Gaussian ``widening`` times as wide
     as the posterior's, then ``batch`` at a time; end when the emulator's error moves the posterior's mean by less than
     ``share`` of its sd in every input, or at max_runs. mode_runs: at most so many to rule out other modes. reference_runs: at
-    most so many of the reference, where the others are cheap.
+    most so many of the reference, where the others are cheap; they end when the correction's error moves the mean by less than
+    ``correction_share``.
     """
 
     starts: int = 4
@@ -36,6 +37,7 @@ class Settings:
     mode_runs: int = 12
     max_runs: int = 60
     reference_runs: int = 12
+    correction_share: float = 0.2
     seed: int = 0
     mcmc: mcmc.Settings = field(default_factory=mcmc.Settings)
 

@@ -14,7 +14,6 @@ from lacli.calibration.sequential.search import Search
 
 STAGE = "correction"
 _TRIES, _STEPS = 4, 4
-_SETTLED = 0.5  # decrease of chi^2 still expected, as of the descent's
 
 
 def bridge(search: Search, evidence: Evidence) -> Evidence:
@@ -40,7 +39,7 @@ def bridge(search: Search, evidence: Evidence) -> Evidence:
         best = own[int(np.argmin(evidence.misfit[own]))]
         components = emulate(evidence)
         z, misfit = min((descent.lowest(components, evidence.z[row]) for row in own), key=lambda found: found[1])
-        if evidence.misfit[best] - misfit < _SETTLED or search.dear_left <= 2:
+        if evidence.misfit[best] - misfit < descent.SETTLED or search.dear_left <= 2:
             break
         evidence = search.refer(z[None], STAGE)
     return evidence
