@@ -35,6 +35,11 @@ def thickness_figure(shells: Sequence[Mapping[str, Any]], files: Sequence[Path])
                     *zip(*mine, strict=True), line, marker="o", color=colour, markerfacecolor=face, markersize=4, label=label
                 )
         axis.set(xscale="log", yscale="log", xlabel="thickness around the apex (mm)", ylabel="displacement around the apex (mm)")
+        for one in (axis.xaxis, axis.yaxis):
+            one.set_major_formatter("{x:g}")
+            one.set_minor_formatter("")
+        axis.set_xticks(sorted({s["patch_mm"] for s in shells}))
+        axis.set_yticks([v for v in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20) if axis.get_ylim()[0] <= v <= axis.get_ylim()[1]])
         axis.legend(fontsize=7)
         _save(figure, files)
 

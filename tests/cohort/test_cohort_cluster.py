@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import threading
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+import pandas as pd
 import psutil
 import pytest
 from clusters import Cluster, no_slurm, said, slurm_node, wait_for
 
+from lacli.api import study as api
 from lacli.base.errors import LacliError, UsageError
 from lacli.cohort.cluster import patients_on_cluster
 from lacli.cohort.participants import Participant
 from lacli.cohort.steps import Settings, Step
 from lacli.cohort.study import Outcome, known_outcome
+from lacli.contracts.labels import BODY_REGIONS
+from lacli.contracts.targets import Targets, write_targets
 
 pytestmark = pytest.mark.skipif(importlib.util.find_spec("dask_jobqueue") is None, reason="needs the extra 'cluster'")
 NAMES = ("sub-1", "sub-2", "sub-3")
@@ -150,3 +157,40 @@ def test_a_study_on_slurm_survives_a_lost_job(tmp_path: Path, monkeypatch: pytes
         assert lost
         names = said(["squeue", "-h", "-o", "%j %C"]).split("\n")
         assert set(filter(None, names)) == {"lacli-cohort 1"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("place", ["dask", pytest.param("slurm", marks=pytest.mark.skipif(bool(no_slurm()), reason=no_slurm()))])
+def test_the_whole_study_is_the_same_on_a_cluster_as_here(
+    place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    alphas, outputs = [f"alpha_{r}" for r in BODY_REGIONS], tuple(f"d_{r}_mm" for r in BODY_REGIONS)
+    x = 0.5 + 3.5 * np.random.default_rng(0).random((40, 5))
+    runs = pd.DataFrame(x, columns=alphas).assign(**dict(zip(outputs, (10 - 2 * x).T, strict=True)))
+    runs.to_csv(tmp_path / "runs.csv", index=False)
+    for name, alpha in (("sub-1", 1.5), ("sub-2", 2.5)):
+        write_targets(tmp_path / f"{name}.toml", Targets(outputs, np.full(5, 10 - 2 * alpha), np.full(5, 0.3)))
+    table = tmp_path / "participants.csv"
+    table.write_text("participant_id,table,targets\nsub-1,runs.csv,sub-1.toml\nsub-2,runs.csv,sub-2.toml\n")
+    (tmp_path / "settings.toml").write_text(
+        "[calibrate]\nmax-waves = 1\nfirst-runs = 40\ness = 200\nfigures = false\n[compare]\nparticles = 100\n"
+        '[slurm]\ncpus = 1\nmemory = "400M"\ntime = "00:10:00"\ninterface = "lo"\n'
+    )
+    seen: list[tuple[str, float]] = []
+    with contextlib.ExitStack() as stack:
+        if place == "slurm":
+            stack.enter_context(slurm_node(tmp_path, monkeypatch))
+            where: dict[str, Any] = {"slurm": True}
+        else:
+            where = {"scheduler": request.getfixturevalue("cluster").address}
+        found = api.run_cohort(
+            table, tmp_path / "study", settings=tmp_path / "settings.toml",
+            progress=lambda event: seen.append((event.stage, event.done)), **where,
+        )  # fmt: skip
+    assert [(o.participant_id, o.status) for o in found.outcomes] == [("sub-1", "done"), ("sub-2", "done")]
+    assert {("sub-1", 2), ("sub-2", 2)} <= set(seen)  # two steps each
+    # slope 2 mm a unit: the truths within what .3 mm leave
+    means = pd.read_csv(tmp_path / "study" / "regions.csv").groupby("participant_id")["alpha"].mean()
+    assert means.tolist() == pytest.approx([1.5, 2.5], abs=0.15)
+    again = api.run_cohort(table, tmp_path / "study", settings=tmp_path / "settings.toml")
+    assert again.outcomes == found.outcomes, "found here, not done again"
