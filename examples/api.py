@@ -2,8 +2,8 @@
 # From a synthetic atrium to a posterior, in Python: `python examples/api.py [FOLDER]`, or cell by cell in a notebook.
 #
 # Sizes are coarse and runs few, so that all of it takes minutes. In earnest: an anatomy of your own (`lacli.mesh`), its
-# motion (`lacli.track`), cells of 3.5 mm with 10 nodes, nine inputs, 200 runs, or `lacli.calibrate`, which does all that
-# follows wave by wave.
+# motion (`lacli.track`), cells of 3.5 mm with 10 nodes, nine inputs, 200 runs; or `lacli.calibrate`, which finds the
+# posterior from at most 60 runs that tell their derivatives.
 
 # %%
 import sys
