@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pandas as pd
 import pytest
 from shapes import hollow_cube
 from typer.testing import CliRunner
@@ -14,8 +17,11 @@ from lacli.base.errors import AnatomyError, SceneError, UsageError
 from lacli.calibration.sequential.fidelity.companion import companion
 from lacli.cli.main import build
 from lacli.contracts.bundle import save
+from lacli.contracts.identity import run_key
 from lacli.contracts.scene import Scene, load_scene
 from lacli.mechanics.numerics.cost import unknowns
+from lacli.mechanics.sensitivities import FILE
+from lacli.mechanics.simulation import RunResult
 
 
 @pytest.fixture
@@ -86,3 +92,61 @@ def test_the_price_is_told_without_a_run(place: Path, scene: Scene) -> None:
 )
 def test_options_that_do_not_go_together_are_refused(place: Path, arguments: list[object], words: str) -> None:
     assert words in str(lacli(place, *arguments).exception)
+
+
+class Mechanics:
+    """In place of FreeFEM: displacements that follow from stiffness and load, and linear cells that are too stiff."""
+
+    def __init__(self) -> None:
+        self.orders: list[int] = []
+
+    def __call__(self, scenes: Sequence[Scene], root: Path, **_: object) -> Iterator[tuple[int, RunResult]]:
+        for index, scene in enumerate(scenes):
+            order, key = scene.numerics.order, run_key(scene)
+            self.orders.append(order)
+            a, p, off = scene.materials.alpha.roof, scene.loads.edp_mmhg, 0.9 if order == 1 else 0.0
+            features = {
+                "d_roof_mm": 2.0 + 3.0 / a**0.5 - off, "d_global_mm": 1.0 + 0.2 * p + 2.0 / (1.0 + a) - 0.5 * off,
+                "esv_ml": 80.0 + 4.0 * p - 3.0 * a**0.5 - 0.1 * p * off, "cpu_s": 12.0 if order == 2 else 1.0,
+            }  # fmt: skip
+            slopes = pd.DataFrame(
+                {
+                    "alpha_roof": [-1.5 / a**1.5, -2.0 / (1.0 + a) ** 2, -1.5 / a**0.5],
+                    "edp_mmhg": [0.0, 0.2, 4.0 - 0.1 * off],
+                },
+                index=pd.Index(["d_roof_mm", "d_global_mm", "esv_ml"], name="feature"),
+            )
+            folder = root / key
+            folder.mkdir(parents=True, exist_ok=True)
+            slopes.to_csv(folder / FILE)
+            yield index, RunResult(key, folder, "done", None, "", features, {})
+
+
+def test_a_patient_is_calibrated_by_cheap_runs_and_few_of_its_own(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stand_in = Mechanics()
+    monkeypatch.setattr("lacli.mechanics.execute.run_scenes", stand_in)
+    a, p = 1.3, 6.0
+    own = {"d_roof_mm": (2.0 + 3.0 / a**0.5, 0.1), "d_global_mm": (1.0 + 0.2 * p + 2.0 / (1.0 + a), 0.1),
+           "esv_ml": (80.0 + 4.0 * p - 3.0 * a**0.5, 1.0)}  # fmt: skip
+    text = "\n".join(f"[targets.{name}]\nmean = {mean}\nsd = {sd}" for name, (mean, sd) in own.items())
+    (place / "targets.toml").write_text(text)
+    (place / "box.toml").write_text("[box]\nalpha_roof = [0.125, 4.0]\nedp_mmhg = [1.0, 12.0]\n")
+    options = ["--box", place / "box.toml", "--ess", 100, "--no-figures", "--no-discretisation-error", "--json"]
+    shown = lacli(place, *options, "--cheap", "order=1")
+    found = json.loads(shown.stdout)
+    low, high = (np.array([row[end] for row in found["posterior"]]) for end in ("low95", "high95"))
+    assert ((low < [a, p]) & ([a, p] < high)).all()
+    assert found["chi2"] < 0.5
+    assert found["fidelity"]["runs"] == stand_in.orders.count(2) < 8
+    assert found["runs"] == len(stand_in.orders)
+    assert found["fidelity"]["added_sd"]["d_roof_mm"] == pytest.approx(9.0)
+    # each fidelity has its log and its identity
+    logs = {name: pd.read_csv(place / "out" / name) for name in ("runs.csv", "runs_cheap.csv")}
+    assert {name: set(log["cpu_s"]) for name, log in logs.items()} == {"runs.csv": {12.0}, "runs_cheap.csv": {1.0}}
+    made = [json.loads((place / "out" / f"{name}.identity.json").read_text()) for name in logs]
+    assert [one["content"]["numerics.order"] for one in made] == [2, 1]
+    # called again it finds all; another companion is another calibration
+    stand_in.orders.clear()
+    assert lacli(place, *options, "--cheap", "order=1").exit_code == 0
+    assert stand_in.orders == []
+    assert "Choose another --out" in str(lacli(place, *options, "--cheap", "anatomy.bundle=coarser").exception)
