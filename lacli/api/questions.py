@@ -26,7 +26,9 @@ def study(
     progress: OnProgress | None = None,
     cancel: Cancel | None = None,
 ) -> ThicknessStudy | LaplaceStudy:
-    """``thickness``: hemispherical shells of these thicknesses (mm; default 1 to 4) under pressure, alone and on springs.
+    """What the method says of ``thickness`` or of the law of ``laplace``.
+
+    ``thickness``: hemispherical shells of these thicknesses (mm; default 1 to 4) under pressure, alone and on springs.
     ``laplace``: the law of Laplace beside the wall stress (kPa) of a ``run`` that kept its fields, by region.
 
     out: folder for <question>.csv, <question>.json and the figure (PNG, PDF, SVG). Raises InputError, UsageError, AnatomyError,

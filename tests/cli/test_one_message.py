@@ -14,7 +14,7 @@ from lacli.cli.commands import commands
 from lacli.cli.inference import calibrate, design, emulate, match, posterior, sensitivity
 from lacli.cli.main import build
 from lacli.cli.mechanics import doctor, simulate, tradeoff, verify
-from lacli.cli.study import cohort, compare, report, stats, validate
+from lacli.cli.study import cohort, compare, report, stats, study, validate
 
 CASES: list[tuple[types.ModuleType, list[str], str]] = [
     (mesh, ["none.nrrd", "--out", "out"], "none.nrrd"),
@@ -41,6 +41,8 @@ CASES: list[tuple[types.ModuleType, list[str], str]] = [
     (cohort, ["none.csv", "--out", "out"], "none.csv"),
     (report, ["none"], "none"),
     (validate, ["none", "--motion", "none", "--out", "out"], "none"),
+    (study, ["weather", "--out", "out"], "weather: no such study"),
+    (study, ["laplace", "none", "--out", "out"], "none"),
     (stats, ["none.csv", "--response", "d_mm"], "none.csv"),
 ]
 

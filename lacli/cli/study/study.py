@@ -25,7 +25,7 @@ def command(
     ),
     as_json: Json = False,
 ) -> None:
-    """Does wall thickness matter, does the law of Laplace hold?
+    """Ask the method whether wall thickness matters, and whether the law of Laplace holds.
 
     thickness: a hemispherical shell, its edge held, of several thicknesses, uniform and with a thin patch, under pressure alone
     and on springs. laplace: p r / 2t beside a run's wall stress at end-systole, by region.
