@@ -45,6 +45,7 @@ order = 1
 frames = 0
 fields = "es"
 """
+EARLIER = 0.7  # a victim that was gone is aimed at in so much of the time before: its life is shorter than was measured
 MARK = "LACLI_SHOT"
 CLUSTER = "design on Dask"
 SIGNALS = ("SIGKILL", "SIGTERM", "SIGHUP", "SIGINT")
@@ -255,7 +256,7 @@ class Shooter:
         missed = 0
         while True:
             at, mark = self.fresh(target), uuid.uuid4().hex
-            shot = self._try(target, victim, how, at, mark)
+            shot = self._try(target, victim, how, at, mark, EARLIER**missed)
             shutil.rmtree(at, ignore_errors=True)
             if shot is not None:
                 shot.missed = missed
@@ -263,7 +264,7 @@ class Shooter:
             missed += 1
             self.misses[f"{target.name}, {victim}"] += 1
 
-    def _try(self, target: Target, victim: str, how: str, at: Path, mark: str) -> Shot | None:
+    def _try(self, target: Target, victim: str, how: str, at: Path, mark: str, share: float) -> Shot | None:
         number = signal.Signals[how]
         with subprocess.Popen(
             [*LACLI, *target.words(at)],
@@ -273,7 +274,7 @@ class Shooter:
             text=True,
             start_new_session=True,
         ) as lacli:
-            prey, after_s = self._aim(lacli, target, victim, mark)
+            prey, after_s = self._aim(lacli, target, victim, mark, share)
             if prey is None:
                 lacli.communicate()
                 return None
@@ -297,19 +298,21 @@ class Shooter:
         self._again(shot, target, at, mark)
         return shot
 
-    def _aim(self, lacli: subprocess.Popen[str], target: Target, victim: str, mark: str) -> tuple[psutil.Process | None, float]:
-        """The victim at a random moment of its life; None where it has gone by then."""
-        begin = time.monotonic()
+    def _aim(
+        self, lacli: subprocess.Popen[str], target: Target, victim: str, mark: str, share: float
+    ) -> tuple[psutil.Process | None, float]:
+        """The victim at a random moment of its life, or of the first ``share`` of it; None where it has gone by then."""
+        begin, usual = time.monotonic(), share * target.timing[0]
         if victim == "lacli":
             while not catches(lacli.pid, signal.SIGTERM):
                 if lacli.poll() is not None:
                     return None, 0.0
                 time.sleep(0.002)
-            time.sleep(self.chance.uniform(0, target.timing[0]))
+            time.sleep(self.chance.uniform(0, usual))
             if lacli.poll() is not None:
                 return None, 0.0
             return psutil.Process(lacli.pid), time.monotonic() - begin
-        wait_s = self.chance.uniform(0, 0.35 * target.timing[0] if victim != "compiler" else 0.5 * target.timing[0])
+        wait_s = self.chance.uniform(0, 0.35 * usual if victim != "compiler" else 0.5 * usual)
         while not (prey := [p for p in marked(mark) if is_victim(p, victim)]):
             if lacli.poll() is not None:
                 return None, 0.0
