@@ -227,8 +227,9 @@ def main() -> None:
     parser.add_argument("--place", type=Path, help="where what is shot at is made; kept, for another call")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    # started in the background, Ctrl-C is ignored, and that would be passed on
+    # started in the background, or by nohup, signals are ignored, and that would be passed on
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     with tempfile.TemporaryDirectory(prefix="lacli-robustness-") as folder:
         verdicts: list[Verdict] = []
         if not options.only_shots:

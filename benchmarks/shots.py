@@ -46,6 +46,7 @@ frames = 0
 fields = "es"
 """
 EARLIER = 0.7  # a victim that was gone is aimed at in so much of the time before: its life is shorter than was measured
+MOST_MISSES = 100
 MARK = "LACLI_SHOT"
 CLUSTER = "design on Dask"
 SIGNALS = ("SIGKILL", "SIGTERM", "SIGHUP", "SIGINT")
@@ -262,6 +263,8 @@ class Shooter:
                 shot.missed = missed
                 return shot
             missed += 1
+            if missed == MOST_MISSES:
+                raise SystemExit(f"{target.name}: {how} missed {victim} {missed} times")
             self.misses[f"{target.name}, {victim}"] += 1
 
     def _try(self, target: Target, victim: str, how: str, at: Path, mark: str, share: float) -> Shot | None:
