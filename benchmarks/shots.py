@@ -5,9 +5,7 @@ Used by robustness.py. A shot lands when its victim is there to be hit; one that
 
 from __future__ import annotations
 
-import hashlib
 import itertools
-import json
 import os
 import random
 import shutil
@@ -26,7 +24,7 @@ import numpy as np
 import pandas as pd
 import psutil
 import records
-from sameness import same
+from sameness import bundle_of, chains, features, rows, same
 
 from lacli.contracts.bundle import save
 from lacli.contracts.motion import save_motion
@@ -50,7 +48,6 @@ MOST_MISSES = 100
 MARK = "LACLI_SHOT"
 CLUSTER = "design on Dask"
 SIGNALS = ("SIGKILL", "SIGTERM", "SIGHUP", "SIGINT")
-UNTOLD = {"cpu_s", "peak_memory_mb", "wall_s", "attempts", "message"}  # cost, not content
 LEFTOVERS = (".locks/*", ".lock-*", "**/.lock-*", ".tmp-*", "**/.tmp-*", "**/.part-*", "**/.build-*", "**/.old-*")
 
 
@@ -160,30 +157,6 @@ class Range:
             Target("mesh", lambda at: [*mesh, "--out", f"{at}/bundle", "--no-pictures"], bundle_of),
             Target("simulate, compiling", lambda at: [*simulate, "--out", f"{at}/runs", "--no-figures"], features, None, True),
         ]
-
-
-def features(at: Path) -> dict[str, dict[str, float]]:
-    """Features of all runs below ``at``, by key, without their cost."""
-    found = {file.parent.name: json.loads(file.read_text()) for file in sorted((at / "runs").glob("*/features.json"))}
-    return {key: {n: v for n, v in values.items() if n not in UNTOLD} for key, values in found.items()}
-
-
-def rows(at: Path) -> object:
-    """A design's table without its costs."""
-    frame = pd.read_csv(at / "design.csv", float_precision="round_trip")
-    return frame.drop(columns=[name for name in frame if name in UNTOLD]).to_dict("list")
-
-
-def bundle_of(at: Path) -> object:
-    """A bundle's files."""
-    return {name: hashlib.sha256((at / "bundle" / name).read_bytes()).hexdigest() for name in ("wall.vtu", "boundary.vtp")}
-
-
-def chains(at: Path) -> object:
-    """A calibration's chain and result."""
-    with np.load(at / "calibration" / "chain.npz", allow_pickle=False) as arrays:
-        content = {name: arrays[name].tolist() for name in arrays.files}
-    return {"chain": content, "result": json.loads((at / "calibration" / "result.json").read_text())["posterior"]}
 
 
 def marked(mark: str) -> list[psutil.Process]:

@@ -19,7 +19,8 @@ from pathlib import Path
 
 import psutil
 import records
-from shots import CLUSTER, LACLI, MARK, Range, Shooter, Shot, is_victim, marked, rows, same
+from sameness import rows, same
+from shots import CLUSTER, LACLI, MARK, Range, Shooter, Shot, is_victim, marked
 
 CASES = (
     ("worker", "SIGKILL"), ("nanny", "SIGKILL"), ("scheduler", "SIGKILL"),
@@ -77,7 +78,13 @@ def cluster_shots(place: Range, count: int, seed: int, tell: Callable[[Shot], No
             subprocess.run(command(place, at, cluster), check=True, capture_output=True)
             expected.append(rows(at))
         else:
-            landed.append(_shoot(place, at, cluster, victim, how, shooter.chance.uniform(0, 1.5), expected[0]))
+            after_s, shot = shooter.chance.uniform(0, 1.5), None
+            while shot is None:  # FreeFEM was gone before it could be lost: earlier
+                shutil.rmtree(at)
+                at.mkdir()
+                shot = _shoot(place, at, cluster, victim, how, after_s, expected[0])
+                after_s /= 2
+            landed.append(shot)
             records.add(record, landed[-1])
             tell(landed[-1])
         cluster.stop()
@@ -85,24 +92,34 @@ def cluster_shots(place: Range, count: int, seed: int, tell: Callable[[Shot], No
     return landed
 
 
-def _shoot(place: Range, at: Path, cluster: Cluster, victim: str, how: str, after_s: float, expected: object) -> Shot:
+def _shoot(place: Range, at: Path, cluster: Cluster, victim: str, how: str, after_s: float, expected: object) -> Shot | None:
+    """One shot; None where the client ended before."""
     shot = Shot(CLUSTER, victim, how, after_s)
     number = signal.Signals[how]
     with subprocess.Popen(
         command(place, at, cluster), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     ) as client:
-        while True:  # FreeFEM is there to be lost
-            while not (prey := cluster.solvers()):
+        hit = False
+        while not hit and client.poll() is None:
+            if not (prey := cluster.solvers()):
                 time.sleep(0.02)
+                continue
             time.sleep(after_s)
             with suppress(psutil.Error):
                 if cluster.solvers():
                     worker = prey[0].parent()
                     nanny = worker.parent() if worker else None
-                    hit = {"worker": worker, "nanny": nanny, "scheduler": cluster.scheduler, "client": psutil.Process(client.pid)}
-                    hit[victim].send_signal(number)
-                    break
-            after_s /= 2
+                    known = {
+                        "worker": worker,
+                        "nanny": nanny,
+                        "scheduler": cluster.scheduler,
+                        "client": psutil.Process(client.pid),
+                    }
+                    hits[victim].send_signal(number)
+                    hit = True
+        if not hit:
+            client.communicate()
+            return None
         went = time.monotonic()
         if victim in ("scheduler", "client"):
             while cluster.solvers() and time.monotonic() < went + 5:

@@ -142,7 +142,7 @@ def test_sequential_calibrations(data: st.DataObject) -> None:
         owner: Any = chosen if what == "settings" else chosen.mcmc
         names = [f.name for f in dataclasses.fields(owner) if isinstance(getattr(owner, f.name), (int, float))]
         name = data.draw(st.sampled_from(names))
-        budget = name in ("max_runs", "share", "rhat", "ess", "max_steps")
+        budget = name in ("max_runs", "reference_runs", "share", "correction_share", "rhat", "ess", "max_steps")
         changed = dataclasses.replace(owner, **{name: getattr(owner, name) * 2 + 1})
         chosen = changed if what == "settings" else dataclasses.replace(chosen, mcmc=changed)
     after = sequential_identity(space, targets, chosen, identify("runs", **runs))
