@@ -1,4 +1,4 @@
-"""Products of commands as plain content, and whether two are the same (bit for bit, or to the solver's tolerance); for shots.py."""
+"""Products of commands as plain content, and whether two are the same (bit for bit, or to the solver's tolerance)."""
 
 from __future__ import annotations
 

@@ -115,7 +115,7 @@ def _shoot(place: Range, at: Path, cluster: Cluster, victim: str, how: str, afte
                         "scheduler": cluster.scheduler,
                         "client": psutil.Process(client.pid),
                     }
-                    hits[victim].send_signal(number)
+                    known[victim].send_signal(number)
                     hit = True
         if not hit:
             client.communicate()
