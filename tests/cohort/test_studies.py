@@ -132,7 +132,7 @@ def test_laplace_on_the_synthetic_atrium(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(
         '[anatomy]\nbundle = "atrium"\n[numerics]\norder = 1\n[outputs]\nframes = 0\nfields = "es"\nunloaded = true\n'
     )
-    run = lacli.simulate(lacli.load_scene(tmp_path / "scene.toml"), store=tmp_path / "runs")
+    run = lacli.simulate(lacli.types.load_scene(tmp_path / "scene.toml"), store=tmp_path / "runs")
     assert run.status == "done", run.message
     found = questions.study("laplace", run.folder, out=tmp_path / "laplace")
     assert [row.region for row in found.regions] == list(BODY_REGIONS)  # type: ignore[union-attr]
