@@ -16,7 +16,7 @@ import psutil
 import pytest
 from clusters import Cluster, no_slurm, said, slurm_node, wait_for
 
-from lacli.api import study as api
+from lacli.api import cohort as api
 from lacli.base.errors import LacliError, UsageError
 from lacli.cohort.cluster import patients_on_cluster
 from lacli.cohort.participants import Participant

@@ -127,12 +127,13 @@ def test_thickness_matters_less_on_springs(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_laplace_on_the_synthetic_atrium(tmp_path: Path) -> None:
     import lacli
+    from lacli.types import load_scene
 
     lacli.synthesize(tmp_path / "atrium", cell_size_mm=8.0, order=1)
     (tmp_path / "scene.toml").write_text(
         '[anatomy]\nbundle = "atrium"\n[numerics]\norder = 1\n[outputs]\nframes = 0\nfields = "es"\nunloaded = true\n'
     )
-    run = lacli.simulate(lacli.types.load_scene(tmp_path / "scene.toml"), store=tmp_path / "runs")
+    run = lacli.simulate(load_scene(tmp_path / "scene.toml"), store=tmp_path / "runs")
     assert run.status == "done", run.message
     found = questions.study("laplace", run.folder, out=tmp_path / "laplace")
     assert [row.region for row in found.regions] == list(BODY_REGIONS)  # type: ignore[union-attr]
