@@ -11,9 +11,11 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from lacli.anatomy.inputs.image import Image, read
 from lacli.base.errors import LacliError
@@ -22,7 +24,10 @@ from lacli.motion.field import Field, from_sitk, read_field, to_sitk, write_fiel
 
 TIMEOUT_S = 1800.0
 # of cardiac CT at 1 mm: correlation in patches of 7 voxels, three levels, the update smoothed by 4 voxels and the whole by 1
-GREEDY = ("-m", "NCC", "3x3x3", "-n", "60x40x30", "-s", "4.0vox", "1.0vox")
+GREEDY = ("-m", "NCC", "3x3x3", "-n", "60x40x30", "-s", "4.0vox", "1.0vox", "-noise", "0")
+# white noise, of the range of HU, so that the correlation in flat patches is defined: greedy's own is another at every call, and
+# moved a displacement of 2 mm by 0.1 mm, now and then by 0.7
+NOISE = 1e-3
 DEMONS_LEVELS, DEMONS_STEPS, DEMONS_SD = (4, 2, 1), 60, 1.5
 HU_WINDOW = (-150.0, 400.0)
 
@@ -52,8 +57,15 @@ def _greedy(fixed: Image, moving: Image) -> Field:
         raise LacliError("the engine greedy is not installed: pip install picsl-greedy, or choose --engine demons.") from error
     greedy: Any = GreedyFloat3D()
     command = " ".join(["-i fixed moving -o warp -threads 1", *GREEDY])
-    greedy.execute(command, out=io.StringIO(), err=io.StringIO(), fixed=to_sitk(fixed), moving=to_sitk(moving), warp=None)
+    one, other = (to_sitk(_with_noise(image, seed)) for seed, image in enumerate((fixed, moving)))
+    greedy.execute(command, out=io.StringIO(), err=io.StringIO(), fixed=one, moving=other, warp=None)
     return from_sitk(greedy["warp"])
+
+
+def _with_noise(image: Image, seed: int) -> Image:
+    values = image.array.astype(np.float32)
+    noise = np.random.default_rng([20261126, seed]).standard_normal(values.shape, dtype=np.float32)
+    return replace(image, array=values + NOISE * float(np.ptp(values)) * noise)
 
 
 def _demons(fixed: Image, moving: Image) -> Field:
@@ -78,7 +90,7 @@ def _demons(fixed: Image, moving: Image) -> Field:
 
 
 ENGINES: dict[str, Engine] = {
-    "greedy": Engine("greedy", "float " + " ".join(GREEDY), _greedy),
+    "greedy": Engine("greedy", f"float {' '.join(GREEDY)} noise {NOISE}", _greedy),
     "demons": Engine("demons", f"diffeomorphic {DEMONS_LEVELS} {DEMONS_STEPS} {DEMONS_SD} {HU_WINDOW}", _demons),
 }
 
