@@ -238,9 +238,7 @@ def _sharpest_deg(surface: Surface) -> float:
     """The largest angle between the normals of two of the wall's triangles."""
     normals = surface.normals()
     _, _, of = paths.edge_table(surface.triangles)
-    order = np.argsort(of.ravel(), kind="stable")
-    twice = np.flatnonzero(np.diff(of.ravel()[order]) == 0)
-    one, two = order[twice] // 3, order[twice + 1] // 3
+    one, two = paths.side_pairs(of)[0].T // 3
     wall = (surface.label[one] == 0) & (surface.label[two] == 0)
     cosine = (normals[one] * normals[two]).sum(axis=1)[wall]
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).max(initial=0.0))

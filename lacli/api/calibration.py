@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, overload
+from typing import TYPE_CHECKING, Literal, TypedDict, Unpack, overload
 
 from lacli.base.errors import UsageError
 
@@ -19,6 +19,26 @@ if TYPE_CHECKING:
     from lacli.contracts.targets import Targets
     from lacli.inference.box import Box
 
+    class Options(TypedDict, total=False):
+        """Arguments of ``calibrate`` that its answer's type does not hang on."""
+
+        method: Literal["sequential", "published"] | None
+        truth: Mapping[str, float] | None
+        table: Path | None
+        box: Box | None
+        settings: SequentialSettings | PublishedSettings | None
+        store: Path | None
+        workers: int | None
+        scheduler: str | None
+        sensitivities: bool
+        fresh: bool
+        retry: bool
+        discretisation: bool
+        cheap: Sequence[str]
+        figures: bool
+        progress: OnProgress | None
+        cancel: Cancel | None
+
 
 @overload
 def calibrate(
@@ -28,22 +48,7 @@ def calibrate(
     *,
     dry_run: Literal[False] = ...,
     forecast: Literal[False] = ...,
-    method: Literal["sequential", "published"] | None = ...,
-    truth: Mapping[str, float] | None = ...,
-    table: Path | None = ...,
-    box: Box | None = ...,
-    settings: SequentialSettings | PublishedSettings | None = ...,
-    store: Path | None = ...,
-    workers: int | None = ...,
-    scheduler: str | None = ...,
-    sensitivities: bool = ...,
-    fresh: bool = ...,
-    retry: bool = ...,
-    discretisation: bool = ...,
-    cheap: Sequence[str] = ...,
-    figures: bool = ...,
-    progress: OnProgress | None = ...,
-    cancel: Cancel | None = ...,
+    **options: Unpack[Options],
 ) -> Calibrated: ...
 
 
@@ -55,22 +60,7 @@ def calibrate(
     *,
     dry_run: Literal[False] = ...,
     forecast: Literal[True],
-    method: Literal["sequential", "published"] | None = ...,
-    truth: Mapping[str, float] | None = ...,
-    table: Path | None = ...,
-    box: Box | None = ...,
-    settings: SequentialSettings | PublishedSettings | None = ...,
-    store: Path | None = ...,
-    workers: int | None = ...,
-    scheduler: str | None = ...,
-    sensitivities: bool = ...,
-    fresh: bool = ...,
-    retry: bool = ...,
-    discretisation: bool = ...,
-    cheap: Sequence[str] = ...,
-    figures: bool = ...,
-    progress: OnProgress | None = ...,
-    cancel: Cancel | None = ...,
+    **options: Unpack[Options],
 ) -> Forecast: ...
 
 
@@ -82,22 +72,7 @@ def calibrate(
     *,
     dry_run: Literal[True],
     forecast: Literal[False] = ...,
-    method: Literal["sequential", "published"] | None = ...,
-    truth: Mapping[str, float] | None = ...,
-    table: Path | None = ...,
-    box: Box | None = ...,
-    settings: SequentialSettings | PublishedSettings | None = ...,
-    store: Path | None = ...,
-    workers: int | None = ...,
-    scheduler: str | None = ...,
-    sensitivities: bool = ...,
-    fresh: bool = ...,
-    retry: bool = ...,
-    discretisation: bool = ...,
-    cheap: Sequence[str] = ...,
-    figures: bool = ...,
-    progress: OnProgress | None = ...,
-    cancel: Cancel | None = ...,
+    **options: Unpack[Options],
 ) -> tuple[Price, ...]: ...
 
 
@@ -109,22 +84,7 @@ def calibrate(
     *,
     dry_run: Literal[False] = ...,
     forecast: Literal[False] = ...,
-    method: Literal["sequential", "published"] | None = ...,
-    truth: Mapping[str, float] | None = ...,
-    table: Path | None = ...,
-    box: Box | None = ...,
-    settings: SequentialSettings | PublishedSettings | None = ...,
-    store: Path | None = ...,
-    workers: int | None = ...,
-    scheduler: str | None = ...,
-    sensitivities: bool = ...,
-    fresh: bool = ...,
-    retry: bool = ...,
-    discretisation: bool = ...,
-    cheap: Sequence[str] = ...,
-    figures: bool = ...,
-    progress: OnProgress | None = ...,
-    cancel: Cancel | None = ...,
+    **options: Unpack[Options],
 ) -> Recovered: ...
 
 

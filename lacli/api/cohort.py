@@ -64,7 +64,9 @@ def run_cohort(
     from lacli.cohort.study import planned
 
     if slurm + (scheduler is not None) + (script is not None) > 1:
-        raise UsageError("cohort: a scheduler, SLURM's own jobs, or a script for SLURM: one of them.")
+        raise UsageError(
+            "cohort: a scheduler (--scheduler), SLURM's own jobs (--slurm), or a script for SLURM (--write-slurm): one of them."
+        )
     if script is not None and only:
         raise UsageError("--write-slurm writes a task for every participant; leave --only out.")
     if not dry_run and script is None:

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 
+from lacli.anatomy.coordinates.describe import cell_label
 from lacli.anatomy.pictures import views
-from lacli.anatomy.surface_features import endocardial_regions
 from lacli.base.errors import AnatomyError
 from lacli.contracts.bundle import load
 from lacli.contracts.labels import ENDO, REGION_COLOURS, REGIONS, RING_COLOUR
@@ -17,7 +16,7 @@ from lacli.report.cohort_figures import Atrium
 
 _NAMES = {number: name for name, number in REGIONS.items()}
 _BACK = 1  # of ``views``: the posterior wall, between the veins
-_YES = ("1", "yes", "true", "y", "af", "paroxysmal", "persistent")
+_YES = ("1", "1.0", "yes", "true", "y", "af", "paroxysmal", "persistent")
 
 
 def atria(anatomies: pd.DataFrame, study: Path) -> tuple[list[Atrium], list[str]]:
@@ -29,13 +28,11 @@ def atria(anatomies: pd.DataFrame, study: Path) -> tuple[list[Atrium], list[str]
         except AnatomyError as error:
             lacking.append(f"{patient} is not shown: {error}")
             continue
-        faces, region = endocardial_regions(bundle)
-        whole = bundle.triangles[bundle.tags == ENDO]
-        body = {tuple(face): int(number) for face, number in zip(np.sort(faces[:, :3], axis=1), region, strict=True)}
-        owner = [body.get(tuple(face)) for face in np.sort(whole[:, :3], axis=1)]
+        faces = bundle.triangles[bundle.tags == ENDO][:, :3]
+        owner = cell_label(bundle, faces).tolist()
         colours = [REGION_COLOURS[_NAMES[number]] if number in _NAMES else RING_COLOUR for number in owner]
         _, direction, up = views(bundle)[_BACK]
-        found.append(Atrium(patient, bundle.points[whole[:, :3]], colours, direction, up))
+        found.append(Atrium(patient, bundle.points[faces], colours, direction, up))
     return found, lacking
 
 

@@ -24,6 +24,14 @@ def edge_table(triangles: IntArray) -> tuple[IntArray, IntArray, IntArray]:
     return np.column_stack([keys // size, keys % size]), count, inverse.reshape(-1, 3)
 
 
+def side_pairs(of: IntArray) -> tuple[IntArray, IntArray]:
+    """Sides (k, 2) that lie at one edge, each 3 triangle + side, and that edge (k,); ``of`` (t, 3): of ``edge_table``."""
+    order = np.argsort(of.ravel(), kind="stable")
+    edge = of.ravel()[order]
+    twice = np.flatnonzero(edge[1:] == edge[:-1])
+    return np.column_stack([order[twice], order[twice + 1]]), edge[twice]
+
+
 def edge_graph(points: FloatArray, triangles: IntArray) -> csr_matrix:
     """Symmetric sparse matrix of edge lengths (mm) between the points."""
     edges, _, _ = edge_table(triangles)

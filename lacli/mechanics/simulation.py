@@ -157,10 +157,7 @@ def rerun(folder: Path, on_progress: OnProgress | None = None) -> tuple[dict[str
 
     Nothing is kept of the second run. Raises as ``read_by_hand`` does, and SimulationError where the second run fails.
     """
-    scene = _scene_of(folder, "manifest.json")
-    manifest = read_json(folder / "manifest.json")
-    stored = StoredRun(manifest["key"], folder, manifest)
-    check_products(stored, manifest.get("products", {}))
+    scene, stored = finished(folder)
     before = stored.features()
     case = prepare(scene)
     with tempfile.TemporaryDirectory(prefix=".rerun-", dir=folder.parent) as name:
@@ -170,6 +167,18 @@ def rerun(folder: Path, on_progress: OnProgress | None = None) -> tuple[dict[str
             raise SimulationError(outcome.kind, f"{folder}: the second run failed ({outcome.kind}): {outcome.message}")
         after, _ = collect(case, place, cpu_s=outcome.cpu_s, peak_memory_mb=outcome.peak_memory_mb)
     return with_errors(case.scene, case.bundle, before), with_errors(case.scene, case.bundle, after)
+
+
+def finished(folder: Path) -> tuple[Scene, StoredRun]:
+    """A stored run by its folder, and its scene: scene, bundle and solver are what it was made of, its products as it wrote them.
+
+    Raises InputError where there is no run, UsageError and StorageError where something has changed since.
+    """
+    scene = _scene_of(folder, "manifest.json")
+    manifest = read_json(folder / "manifest.json")
+    stored = StoredRun(manifest["key"], folder, manifest)
+    check_products(stored, manifest.get("products", {}))
+    return scene, stored
 
 
 def _scene_of(folder: Path, record: str) -> Scene:

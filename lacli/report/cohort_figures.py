@@ -31,7 +31,7 @@ def regions_figure(values: FloatArray, regions: Sequence[str], name: str, files:
             axis.plot(np.full(len(values), places[j]), values[:, j], "o", color=colour, markersize=4, zorder=3)
         axis.set_xticks(places, regions)
         axis.set_ylabel(name)
-        _save(figure, files)
+        save_all(figure, files)
 
 
 def scatter_figure(
@@ -48,7 +48,7 @@ def scatter_figure(
             axis.errorbar(x[:, j], y[:, j], xerr=bars, fmt="o", color=colour, markersize=4, elinewidth=0.6, label=region)
         axis.set(xlabel=names[0], ylabel=names[1])
         axis.legend(ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.2), fontsize=8)
-        _save(figure, files)
+        save_all(figure, files)
 
 
 @dataclass(frozen=True)
@@ -92,10 +92,11 @@ def gallery_figure(atria: Sequence[Atrium], marked: Sequence[str], files: Sequen
         low = bar.get_xlim()[0], bar.get_ylim()[0]
         bar.plot([low[0], low[0] + 20.0], [low[1], low[1]], color="black", linewidth=1.5)
         bar.text(low[0], low[1], "20 mm", fontsize=7, va="bottom")
-        _save(figure, files)
+        save_all(figure, files)
 
 
-def _save(figure: object, files: Sequence[Path]) -> None:
+def save_all(figure: object, files: Sequence[Path]) -> None:
+    """Save a figure, a file a format, each whole or not at all, and close it."""
     import matplotlib.pyplot as plt
 
     for file in files:

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from lacli.base.files import replacing
 from lacli.contracts.labels import REGION_COLOURS
+from lacli.report.cohort_figures import save_all
 from lacli.report.style import paper
 
 _OTHER = "#555555"
@@ -41,7 +41,7 @@ def thickness_figure(shells: Sequence[Mapping[str, Any]], files: Sequence[Path])
         axis.set_xticks(sorted({s["patch_mm"] for s in shells}))
         axis.set_yticks([v for v in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20) if axis.get_ylim()[0] <= v <= axis.get_ylim()[1]])
         axis.legend(fontsize=7)
-        _save(figure, files)
+        save_all(figure, files)
 
 
 def laplace_figure(stresses: Mapping[str, tuple[float, float]], slope: float, files: Sequence[Path]) -> None:
@@ -57,13 +57,4 @@ def laplace_figure(stresses: Mapping[str, tuple[float, float]], slope: float, fi
             axis.plot(law, run, "o", color=REGION_COLOURS.get(region, _OTHER), markersize=5, label=region)
         axis.set(xlabel="law of Laplace (kPa)", ylabel="wall stress along less across (kPa)", xlim=(0, most), ylim=(0, most))
         axis.legend(fontsize=7, ncols=2)
-        _save(figure, files)
-
-
-def _save(figure: Any, files: Sequence[Path]) -> None:
-    import matplotlib.pyplot as plt
-
-    for file in files:
-        with replacing(file) as temporary:
-            figure.savefig(temporary)
-    plt.close(figure)
+        save_all(figure, files)

@@ -7,8 +7,9 @@ import numpy as np
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import SimulationError
 from lacli.contracts.bundle import Bundle
+from lacli.freefem.names import Task
 from lacli.verification import meshes
-from lacli.verification.runs import GUCCIONE, NEO_HOOKEAN, UNSYMMETRIC, Check, Setup, Solution, compare, material, solve
+from lacli.verification.runs import GUCCIONE, NEO_HOOKEAN, Check, Setup, Solution, compare, material, solve
 
 # Land et al. 2015 (Proc. R. Soc. A 471:20150641), problems 1 and 2, converged values; mm and mm3
 BEAM_POINT = (10.0, 0.5, 1.0)
@@ -50,7 +51,7 @@ def solve_beam(
     """Problem 1: the solution and where the point went. ``kappa``: kPa at the points and on the field (0: incompressible)."""
     tissue = material(GUCCIONE, 2.0, (8.0, 4.0, 2.0), *kappa)
     damped = damping(0.004, 1.0, 2.0) | steering
-    setup = Setup(bundle, tissue, clamp(bundle, 1), 0.004, (5,), points=points, task=UNSYMMETRIC, **damped)  # type: ignore[arg-type]
+    setup = Setup(bundle, tissue, clamp(bundle, 1), 0.004, (5,), points=points, task=Task.UNSYMMETRIC, **damped)  # type: ignore[arg-type]
     solution = solve(setup)
     return solution, solution.states["loaded"][0][nearest(bundle, BEAM_POINT)]
 

@@ -6,30 +6,12 @@ import numpy as np
 
 from lacli.base.arrays import FloatArray
 from lacli.contracts.bundle import Bundle, as_order
+from lacli.freefem.names import Faces, Task
 from lacli.geometry.quadrature import at_quadrature
 from lacli.verification import meshes
 from lacli.verification.equilibria import on_planes
 from lacli.verification.laws import OFFSETS, difference
-from lacli.verification.runs import (
-    GUCCIONE,
-    INVERSE,
-    NEO_HOOKEAN,
-    PERICARDIUM,
-    PERICARDIUM_OUTWARD,
-    PRESSURE,
-    RESIDUAL,
-    SYMMETRIC,
-    UNSYMMETRIC,
-    VEINS,
-    Check,
-    Form,
-    Setup,
-    ask,
-    compare,
-    material,
-    solve,
-    vertices,
-)
+from lacli.verification.runs import GUCCIONE, NEO_HOOKEAN, Check, Form, Setup, ask, compare, material, solve, vertices
 
 TOLERANCE = 1e-9
 KAPPA = (100.0, 900.0)
@@ -70,7 +52,7 @@ def patch() -> list[Check]:
         tissue = TISSUE if bundle.order == 2 else STEADIED
         x, nv = bundle.points @ affine.T, len(vertices(bundle))
         unknowns = 3 * len(x) + nv
-        answers, cpu = ask(bundle, tissue, [Form(RESIDUAL, x, bundle.points, np.full(nv, pressure))], [], points)
+        answers, cpu = ask(bundle, tissue, [Form(Task.RESIDUAL, x, bundle.points, np.full(nv, pressure))], [], points)
         outside = np.unique(bundle.triangles)
         inside = np.setdiff1d(np.arange(len(x)), outside)
         force = answers[0].force
@@ -101,13 +83,17 @@ def _tangent_checks(bundle: Bundle, prefix: str) -> list[Check]:
     x, X, p = disturbed(bundle, 0.05, 1), disturbed(bundle, 0.02, 2), 10 * random.standard_normal(nv)
     v, dp = random.standard_normal((n, 3)), 10 * random.standard_normal(nv)
     loads = 2.0, 1.5, 2.5
-    faces = [(PRESSURE, bundle.tags == 5, None), (VEINS, bundle.tags == 1, None), (PERICARDIUM, bundle.tags == 6, None)]
+    faces = [
+        (Faces.PRESSURE, bundle.tags == 5, None),
+        (Faces.VEINS, bundle.tags == 1, None),
+        (Faces.PERICARDIUM, bundle.tags == 6, None),
+    ]
     checks = []
-    for name, task in (("tangent", UNSYMMETRIC), ("inverse_tangent", INVERSE)):
-        inverse = task == INVERSE
+    for name, task in (("tangent", Task.UNSYMMETRIC), ("inverse_tangent", Task.INVERSE)):
+        inverse = task == Task.INVERSE
         forms = [Form(task, x, X, p, v, dp, loads=loads)]
         for t in OFFSETS * h:
-            forms.append(Form(RESIDUAL, x if inverse else x + t * v, X + t * v if inverse else X, p + t * dp, loads=loads))
+            forms.append(Form(Task.RESIDUAL, x if inverse else x + t * v, X + t * v if inverse else X, p + t * dp, loads=loads))
         answers, cpu = ask(bundle, TISSUE if bundle.order == 2 else STEADIED, forms, faces)
         found = np.concatenate([answers[0].tangent_force.ravel(), answers[0].tangent_gap])
         exact = difference(np.array([np.concatenate([a.force.ravel(), a.gap]) for a in answers[1:]]), h)
@@ -121,7 +107,7 @@ def _uniaxial_check() -> Check:
     bundle, c, stretch = distorted_box(True), 2.0, 0.85
     held = on_planes(bundle)
     load = 2 * c * (1 / stretch - stretch**2)
-    solution = solve(Setup(bundle, material(NEO_HOOKEAN, c), held, load, (2,), task=UNSYMMETRIC, tolerance=1e-9))
+    solution = solve(Setup(bundle, material(NEO_HOOKEAN, c), held, load, (2,), task=Task.UNSYMMETRIC, tolerance=1e-9))
     end = np.unique(bundle.triangles[bundle.tags == 2])
     found = solution.states["loaded"][0][end, 0] / 3.0
     worst = float(found[np.abs(found - stretch).argmax()])
@@ -147,20 +133,20 @@ def pressure() -> list[Check]:
     v, w = random.standard_normal((n, 3)), random.standard_normal((n, 3))
     h, load = 1e-2, 3.0
     forms = [
-        Form(RESIDUAL, bundle.points @ affine.T, X, zero),
-        Form(RESIDUAL, x, X, zero),
-        Form(RESIDUAL, x, X, zero, loads=(load, 0.0, 0.0)),
-        Form(UNSYMMETRIC, x, X, zero, v),
-        Form(UNSYMMETRIC, x, X, zero, v, loads=(load, 0.0, 0.0)),
-        Form(UNSYMMETRIC, x, X, zero, w),
-        Form(UNSYMMETRIC, x, X, zero, w, loads=(load, 0.0, 0.0)),
-        Form(SYMMETRIC, x, X, zero, v),
-        Form(SYMMETRIC, x, X, zero, v, loads=(load, 0.0, 0.0)),
-        *[Form(RESIDUAL, x + t * v, X, zero) for t in OFFSETS * h],
+        Form(Task.RESIDUAL, bundle.points @ affine.T, X, zero),
+        Form(Task.RESIDUAL, x, X, zero),
+        Form(Task.RESIDUAL, x, X, zero, loads=(load, 0.0, 0.0)),
+        Form(Task.UNSYMMETRIC, x, X, zero, v),
+        Form(Task.UNSYMMETRIC, x, X, zero, v, loads=(load, 0.0, 0.0)),
+        Form(Task.UNSYMMETRIC, x, X, zero, w),
+        Form(Task.UNSYMMETRIC, x, X, zero, w, loads=(load, 0.0, 0.0)),
+        Form(Task.SYMMETRIC, x, X, zero, v),
+        Form(Task.SYMMETRIC, x, X, zero, v, loads=(load, 0.0, 0.0)),
+        *[Form(Task.RESIDUAL, x + t * v, X, zero) for t in OFFSETS * h],
     ]
     # soft and without volume terms, so that the wall's own forces do not hide the pressure's
     soft = material(NEO_HOOKEAN, 1e-3)
-    a, cpu = ask(bundle, soft, forms, [(PRESSURE, cavity, None)])
+    a, cpu = ask(bundle, soft, forms, [(Faces.PRESSURE, cavity, None)])
     cost = 3 * n + nv, cpu
     force = a[2].force - a[1].force
     rate = float(difference(np.array([b.volume for b in a[9:]]), h))
@@ -213,12 +199,12 @@ def spring() -> list[Check]:
         normal = turn @ (areas * along)
         outward = turn @ (areas * np.array([float(along[0] > 0), 0.5, 0.5]) * along)
         cases = {
-            "vein_force": ((VEINS, top, None), (0.0, stiffness, 0.0), areas[0] * u),
-            "pericardium_force": ((PERICARDIUM, every, weight), (0.0, 0.0, stiffness), normal),
-            "outward_force": ((PERICARDIUM_OUTWARD, every, weight), (0.0, 0.0, stiffness), outward),
+            "vein_force": ((Faces.VEINS, top, None), (0.0, stiffness, 0.0), areas[0] * u),
+            "pericardium_force": ((Faces.PERICARDIUM, every, weight), (0.0, 0.0, stiffness), normal),
+            "outward_force": ((Faces.OUTWARD, every, weight), (0.0, 0.0, stiffness), outward),
         }
         for name, (faces, loads, exact) in cases.items():
-            form = Form(RESIDUAL, bundle.points + u, bundle.points, np.zeros(nv), loads=loads)
+            form = Form(Task.RESIDUAL, bundle.points + u, bundle.points, np.zeros(nv), loads=loads)
             answers, cpu = ask(bundle, material(NEO_HOOKEAN, 1.0), [form], [faces])
             found, wanted = answers[0].force.sum(axis=0), stiffness * exact
             k = int(np.abs(found - wanted).argmax())

@@ -8,30 +8,12 @@ from scipy.linalg import expm
 
 from lacli.base.errors import SimulationError
 from lacli.contracts.bundle import Bundle, as_order
+from lacli.freefem.names import Faces, Task
 from lacli.verification import meshes
 from lacli.verification.equilibria import SPHERE_C, SPHERE_RADII, clamp, on_planes
 from lacli.verification.forms import STEADIED, TISSUE, TOLERANCE, distorted_box, disturbed
 from lacli.verification.laws import ALPHA, KAPPA_POINTS, OFFSETS, B, C, difference, guccione_stress
-from lacli.verification.runs import (
-    GUCCIONE,
-    KEEP_PRESTRAIN,
-    NEO_HOOKEAN,
-    PERICARDIUM,
-    PRESSURE,
-    PRESTRAIN,
-    PRESTRAIN_RESIDUAL,
-    RESIDUAL,
-    UNSYMMETRIC,
-    VEINS,
-    Check,
-    Form,
-    Setup,
-    ask,
-    compare,
-    material,
-    solve,
-    vertices,
-)
+from lacli.verification.runs import GUCCIONE, NEO_HOOKEAN, Check, Form, Setup, ask, compare, material, solve, vertices
 
 
 def prestrain() -> list[Check]:
@@ -52,12 +34,16 @@ def _tangents(bundle: Bundle, prefix: str) -> list[Check]:
     d, dp = random.standard_normal((n, 3)), 10 * random.standard_normal(nv)
     x = disturbed(bundle, 0.03, 4)
     loads = 2.0, 1.5, 2.5
-    faces = [(PRESSURE, bundle.tags == 5, None), (VEINS, bundle.tags == 1, None), (PERICARDIUM, bundle.tags == 6, None)]
-    forms = [Form(PRESTRAIN, v, X, p, d, dp, loads)]
-    forms += [Form(PRESTRAIN_RESIDUAL, v + t * d, X, p + t * dp, loads=loads) for t in OFFSETS * h]
-    forms += [Form(PRESTRAIN_RESIDUAL, v, X, p, loads=loads), Form(KEEP_PRESTRAIN, v, X, p, loads=loads)]
-    forms += [Form(UNSYMMETRIC, x, X, p, d, dp, loads)]
-    forms += [Form(RESIDUAL, x + t * d, X, p + t * dp, loads=loads) for t in OFFSETS * h]
+    faces = [
+        (Faces.PRESSURE, bundle.tags == 5, None),
+        (Faces.VEINS, bundle.tags == 1, None),
+        (Faces.PERICARDIUM, bundle.tags == 6, None),
+    ]
+    forms = [Form(Task.PRESTRAIN, v, X, p, d, dp, loads)]
+    forms += [Form(Task.PRESTRAIN_RESIDUAL, v + t * d, X, p + t * dp, loads=loads) for t in OFFSETS * h]
+    forms += [Form(Task.PRESTRAIN_RESIDUAL, v, X, p, loads=loads), Form(Task.KEEP_PRESTRAIN, v, X, p, loads=loads)]
+    forms += [Form(Task.UNSYMMETRIC, x, X, p, d, dp, loads)]
+    forms += [Form(Task.RESIDUAL, x + t * d, X, p + t * dp, loads=loads) for t in OFFSETS * h]
     answers, cpu = ask(bundle, TISSUE if bundle.order == 2 else STEADIED, forms, faces)
     whole = [np.concatenate([a.force.ravel(), a.gap]) for a in answers]
     checks = []
@@ -83,7 +69,7 @@ def _homogeneous() -> list[Check]:
     f = np.linalg.solve(U, np.array([0.6, 0.48, 0.64]))
     stress = guccione_stress(U, f / np.linalg.norm(f), p, C, ALPHA, B, KAPPA_POINTS)
     sigma = stress @ U / np.linalg.det(U)
-    answers, cpu = ask(bundle, TISSUE, [Form(PRESTRAIN_RESIDUAL, bundle.points @ e, bundle.points, np.full(nv, p))], [])
+    answers, cpu = ask(bundle, TISSUE, [Form(Task.PRESTRAIN_RESIDUAL, bundle.points @ e, bundle.points, np.full(nv, p))], [])
     force = answers[0].force
     inside = np.setdiff1d(np.arange(n), np.unique(bundle.triangles))
     scale = float(np.abs(force).max())

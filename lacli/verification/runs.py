@@ -18,7 +18,7 @@ from lacli.contracts.bundle import Bundle
 from lacli.contracts.laws import NUMBER
 from lacli.freefem import run as freefem
 from lacli.freefem.files import CELL_ORDER, read_history, read_state, write_arrays, write_faces, write_medit
-from lacli.freefem.names import Faces, Task
+from lacli.freefem.names import Task
 from lacli.freefem.program import find
 from lacli.freefem.template import render_template
 from lacli.mechanics.engine import plugin
@@ -26,9 +26,6 @@ from lacli.mechanics.inputs import CELL_COLUMNS, Cell
 
 TIMEOUT_S = 1800.0
 GUCCIONE, NEO_HOOKEAN = NUMBER["guccione"], NUMBER["neo_hookean"]
-# kinds of faces and tasks of the engine
-PRESSURE, VEINS, PERICARDIUM, PERICARDIUM_OUTWARD = map(int, Faces)
-RESIDUAL, SYMMETRIC, UNSYMMETRIC, INVERSE, PRESTRAIN_RESIDUAL, PRESTRAIN, KEEP_PRESTRAIN = map(int, Task)
 
 
 @dataclass(frozen=True)
@@ -93,7 +90,7 @@ class Setup:
     start: FloatArray | None = None
     at: FloatArray | None = None
     points: int = 14
-    task: int = SYMMETRIC
+    task: int = Task.SYMMETRIC
     tolerance: float = 1e-6
     first_step: float = 1.0
     first_viscosity: float = 0.0

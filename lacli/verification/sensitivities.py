@@ -11,19 +11,13 @@ import numpy as np
 from lacli.base.arrays import FloatArray
 from lacli.contracts.bundle import Bundle, as_order
 from lacli.contracts.labels import BODY_REGIONS
+from lacli.freefem.names import Faces, Task
 from lacli.geometry.quadrature import triangle_shapes
 from lacli.verification.forms import KAPPA, TOLERANCE, distorted_box, disturbed
 from lacli.verification.laws import OFFSETS, difference
 from lacli.verification.runs import (
     GUCCIONE,
-    KEEP_PRESTRAIN,
     NEO_HOOKEAN,
-    PERICARDIUM,
-    PERICARDIUM_OUTWARD,
-    PRESSURE,
-    PRESTRAIN_RESIDUAL,
-    RESIDUAL,
-    VEINS,
     Check,
     FaceSet,
     Form,
@@ -74,14 +68,14 @@ class _Point:
 
     def faces(self) -> list[FaceSet]:
         tags = self.bundle.tags
-        return [(PRESSURE, tags == 5, None), (VEINS, tags == 1, None), (self.pericardium, tags == 6, self.weights)]
+        return [(Faces.PRESSURE, tags == 5, None), (Faces.VEINS, tags == 1, None), (self.pericardium, tags == 6, self.weights)]
 
     def forms(self) -> list[Form]:
         """Its prestrain kept, then its residual."""
         X = self.bundle.points
         pressure, springs, pericardium = (float(v) for v in self.loads)
         loads = (pressure, springs, pericardium)
-        return [Form(KEEP_PRESTRAIN, self.v, X, self.p), Form(RESIDUAL, self.x, X, self.p, loads=loads)]
+        return [Form(Task.KEEP_PRESTRAIN, self.v, X, self.p), Form(Task.RESIDUAL, self.x, X, self.p, loads=loads)]
 
     def along(self, weights: FloatArray, t: float) -> _Point:
         """Moved by t along the inputs with these weights (inputs,)."""
@@ -121,15 +115,15 @@ def _point(bundle: Bundle, pericardium: int) -> _Point:
 
 def sensitivities() -> list[Check]:
     """Of quadratic and linear cells, Guccione's and a neo-Hookean wall, with a prestrain that moves; of the prestrain."""
-    curved = _point(distorted_box(True), PERICARDIUM)
-    linear = _point(as_order(distorted_box(False), 1), PERICARDIUM_OUTWARD)
+    curved = _point(distorted_box(True), Faces.PERICARDIUM)
+    linear = _point(as_order(distorted_box(False), 1), Faces.OUTWARD)
     return [*_slopes(curved, "", 14), *_slopes(linear, "linear_", 4), _prestrain(curved, ""), _prestrain(linear, "linear_")]
 
 
 def _whole(point: _Point, task: int, points: int, law: int = GUCCIONE) -> FloatArray:
     """The residual of a point, or of its prestrain problem."""
     forms = point.forms()
-    if task == PRESTRAIN_RESIDUAL:
+    if task == Task.PRESTRAIN_RESIDUAL:
         forms = [replace(forms[1], task=task, x=point.v)]
     answers, _ = ask(point.bundle, point.materials(law), forms, point.faces(), points)
     return np.concatenate([answers[-1].force.T.ravel(), answers[-1].gap])
@@ -151,7 +145,7 @@ def _slopes(point: _Point, prefix: str, points: int) -> list[Check]:
     checks = []
     for law, suffix in ((GUCCIONE, ""), (NEO_HOOKEAN, "_neo_hookean")):
         found, cpu = ask_slopes(point.bundle, point.materials(law), point.forms(), point.faces(), slopes, points)
-        residual = partial(_whole, task=RESIDUAL, points=points, law=law)
+        residual = partial(_whole, task=Task.RESIDUAL, points=points, law=law)
         for name, weights in _directions().items():
             if law == GUCCIONE or name in ("c", "alpha"):
                 checks.append(_check(prefix + name + suffix, weights @ found, weights, point, residual, cpu))
@@ -167,7 +161,7 @@ def _prestrain(point: _Point, prefix: str) -> Check:
     )
     weights = sum(_directions().values(), np.zeros(INPUTS))
     name = f"{prefix}of_the_prestrain"
-    return _check(name, weights @ found, weights, still, partial(_whole, task=PRESTRAIN_RESIDUAL, points=points), cpu)
+    return _check(name, weights @ found, weights, still, partial(_whole, task=Task.PRESTRAIN_RESIDUAL, points=points), cpu)
 
 
 def _check(

@@ -59,4 +59,5 @@ def test_the_gallery_shows_who_is_there(tmp_path: Path) -> None:
     assert len(shown[0].colours) == len(shown[0].corners)
     gallery_figure(shown, ["a"], [tmp_path / "g.png", tmp_path / "g.svg"])
     assert (tmp_path / "g.png").stat().st_size > 5000
+    assert with_fibrillation({"af": "1.0"}), "a column of 0 and 1 with gaps"
     assert with_fibrillation({"af": "Yes"}) and not with_fibrillation({"af": "no"}) and not with_fibrillation({})

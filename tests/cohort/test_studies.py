@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from lacli.api import questions
-from lacli.base.errors import InputError, UsageError
+from lacli.base.errors import InputError, StorageError, UsageError
 from lacli.cli import main
 from lacli.cohort.studies import laplace, thickness
 from lacli.contracts.labels import BODY_REGIONS, ENDO, EPI, REGIONS
@@ -146,3 +146,13 @@ def test_laplace_on_the_synthetic_atrium(tmp_path: Path) -> None:
     law = pressure * roof["radius_mm"] / (2 * roof["thickness_mm"]) + pressure / 2
     assert roof["laplace_kpa"] == pytest.approx(law, rel=1e-9)
     assert (tmp_path / "laplace" / "laplace.png").is_file()
+    # nothing that has changed since is taken for what the run was made of
+    fields, wall = run.folder / "fields" / "es.vtu", tmp_path / "atrium" / "wall.vtu"
+    content, cells = fields.read_bytes(), wall.read_bytes()
+    fields.write_bytes(content[: len(content) // 2])
+    with pytest.raises(StorageError, match=r"es\.vtu"):
+        questions.study("laplace", run.folder)
+    fields.write_bytes(content)
+    wall.write_bytes(cells + b"\n")
+    with pytest.raises(UsageError, match="no longer what this run was made of"):
+        questions.study("laplace", run.folder)

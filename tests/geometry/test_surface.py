@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from shapes import icosphere
 
 from lacli.base.errors import AnatomyError
+from lacli.geometry import curves
 from lacli.geometry.prisms import shorter_diagonals, split_prisms
 from lacli.geometry.quadrature import enclosed_volume_ml
 from lacli.geometry.surface import Surface, check, defects, unique_edges
@@ -108,3 +109,9 @@ def test_split_prisms_fill_the_shell_and_fit_each_other(shorter: bool) -> None:
     assert defects(faces) == ""
     outer = Surface(points[n:], sphere.triangles, sphere.label)
     assert volumes(points, tets).sum() / 1000 == pytest.approx(outer.volume_ml() - sphere.volume_ml(), rel=1e-12)
+
+
+def test_sides_that_share_an_edge() -> None:
+    # two triangles over the edge 1 - 2: side 1 of the first, side 0 of the second
+    sides, edge = curves.side_pairs(curves.edge_table(np.array([[0, 1, 2], [2, 1, 3]]))[2])
+    assert sides.tolist() == [[1, 3]] and len(edge) == 1

@@ -1,4 +1,4 @@
-"""Openings that a file has closed by flat discs with sharp rims, as programs that clip and close a surface leave them."""
+"""Openings that a file has closed by flat discs, as programs that clip and close a surface leave them."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import connected_components
 
 from lacli.base.arrays import BoolArray, FloatArray, IntArray
 from lacli.geometry import curves as paths
+from lacli.geometry.triangles import area_normals
 
 LEAST_MM2 = 25.0
 ROUND = 0.65  # 4 pi area / perimeter^2: 1 of a circle, 0.84 and 0.66 of ellipses twice and thrice as long as wide
@@ -41,11 +42,12 @@ def flat_caps(points: FloatArray, triangles: IntArray) -> list[BoolArray]:
 
     The surface is consistently turned; points (n, 3) mm, triangles (t, 3).
     """
-    vector = np.cross(points[triangles[:, 1]] - points[triangles[:, 0]], points[triangles[:, 2]] - points[triangles[:, 0]])
+    vector = area_normals(points[triangles])
     size = np.linalg.norm(vector, axis=1)
     normal = vector / np.maximum(size, 1e-30)[:, None]
     edges, count, of = paths.edge_table(triangles)
-    pairs, edge = _wings(of)
+    sides, edge = paths.side_pairs(of)
+    pairs = sides // 3
     angle = np.degrees(np.arccos(np.clip(np.einsum("ij,ij->i", normal[pairs[:, 0]], normal[pairs[:, 1]]), -1.0, 1.0)))
     all_lengths = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
     length, usual = all_lengths[edge], float(np.median(all_lengths))
@@ -66,14 +68,6 @@ def flat_caps(points: FloatArray, triangles: IntArray) -> list[BoolArray]:
                 found.append(mine)
                 taken |= mine
     return found
-
-
-def _wings(of: IntArray) -> tuple[IntArray, IntArray]:
-    """The two triangles (k, 2) at each inner edge, and the edge (k,)."""
-    flat = np.argsort(of.ravel(), kind="stable")
-    edge = of.ravel()[flat]
-    inner = np.flatnonzero(edge[1:] == edge[:-1])
-    return np.column_stack([flat[inner] // 3, flat[inner + 1] // 3]), edge[inner]
 
 
 def _height(points: FloatArray) -> float:

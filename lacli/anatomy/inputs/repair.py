@@ -96,7 +96,7 @@ def _opened(points: FloatArray, triangles: IntArray, notes: list[str]) -> IntArr
     caps = flat_caps(points, triangles) if len(loops) < OPENINGS_LEAST else []
     if len(caps) + len(loops) < OPENINGS_LEAST:
         return triangles
-    notes.append(f"{len(caps)} flat caps with sharp rims were taken for closed openings")
+    notes.append(f"{len(caps)} flat caps were taken for closed openings")
     return triangles[~np.any(caps, axis=0)]
 
 
@@ -254,10 +254,7 @@ def _orient(triangles: IntArray, notes: list[str]) -> tuple[IntArray, bool]:
 
     # (t, 3): whether a triangle runs each of its sides in the edge's sorted direction
     forward = triangles[:, [0, 1, 2]] < triangles[:, [1, 2, 0]]
-    flat = np.argsort(of.ravel(), kind="stable")
-    edge_sorted = of.ravel()[flat]
-    pair = np.flatnonzero(edge_sorted[1:] == edge_sorted[:-1])
-    left, right = flat[pair], flat[pair + 1]
+    left, right = paths.side_pairs(of)[0].T
     differs = forward.ravel()[left] == forward.ravel()[right]
     if not differs.any():
         return triangles, True

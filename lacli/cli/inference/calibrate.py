@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lacli.base.errors import LacliError, UsageError
-from lacli.cli.inference.sought import seek_and_show, show_forecast, show_prices, time_of
+from lacli.cli.inference.sought import seek_and_show, show_forecast, show_posterior, show_prices, time_of
 from lacli.cli.terminal.console import err, out, print_json, print_table
 from lacli.cli.terminal.scenes import read_scene
 from lacli.cli.terminal.tables import BoxFile, Fresh, Json, Retry, Seed
@@ -271,14 +271,7 @@ def _finish(found: Calibrated, as_json: bool, wall_s: float) -> None:
 
 
 def _show(result: Calibration) -> None:
-    from lacli.inference.sampling.posterior import learnt
-
-    print_table(
-        f"Posterior (ESS {result.chain.ess.min():.0f}, R-hat {result.chain.rhat.max():.3f}"
-        + (")" if result.chain.converged else ", not converged)"),
-        ["input", "most probable", "mean", "sd", "2.5 %", "97.5 %", "sd below prior's"],
-        [[r["input"], r["map"], r["mean"], r["sd"], r["low95"], r["high95"], learnt(r)] for r in result.table],
-    )
+    show_posterior(result)
     print_table(
         "Fit at the most probable parameters" + (f", RMSE {result.rmse_mm:.3g} mm" if result.rmse_mm is not None else ""),
         ["feature", "target", "sd", "emulated", "simulated"],

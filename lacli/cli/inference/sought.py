@@ -13,6 +13,8 @@ from lacli.cli.terminal.console import err, one_bar, out, print_json, print_tabl
 
 if TYPE_CHECKING:
     from lacli.api.progress import Progress
+    from lacli.calibration.calibration import Calibration
+    from lacli.calibration.sequential.result import Sequential
     from lacli.contracts.scene import Scene
     from lacli.contracts.targets import Targets
 
@@ -40,7 +42,6 @@ def seek_and_show(scene: Scene, targets: Targets, folder: Path, as_json: bool, *
     """Calibrate, and say what came of it. Raises LacliError where the answer is none."""
     from lacli.api.calibration import calibrate
     from lacli.calibration.sequential.result import Sequential, document
-    from lacli.inference.sampling.posterior import learnt
 
     begin = time.monotonic()
     with _told() as show:
@@ -52,12 +53,7 @@ def seek_and_show(scene: Scene, targets: Targets, folder: Path, as_json: bool, *
     if as_json:
         print_json({**document(result), "wall_s": wall_s, "pictures": [str(p) for p in found.pictures]})
     else:
-        print_table(
-            f"Posterior (ESS {result.chain.ess.min():.0f}, R-hat {result.chain.rhat.max():.3f}"
-            + (")" if result.chain.converged else ", not converged)"),
-            ["input", "best", "mean", "sd", "2.5 %", "97.5 %", "sd below prior's"],
-            [[r["input"], r["map"], r["mean"], r["sd"], r["low95"], r["high95"], learnt(r)] for r in result.table],
-        )
+        show_posterior(result)
         print_table(
             "What the targets told",
             ["group", "targets", "nats alone", "nats lost without it"],
@@ -74,6 +70,18 @@ def seek_and_show(scene: Scene, targets: Targets, folder: Path, as_json: bool, *
         )
     if result.refused:
         raise LacliError(result.refused)
+
+
+def show_posterior(result: Calibration | Sequential) -> None:
+    """The posterior by input, as a table."""
+    from lacli.inference.sampling.posterior import learnt
+
+    print_table(
+        f"Posterior (ESS {result.chain.ess.min():.0f}, R-hat {result.chain.rhat.max():.3f}"
+        + (")" if result.chain.converged else ", not converged)"),
+        ["input", "most probable", "mean", "sd", "2.5 %", "97.5 %", "sd below prior's"],
+        [[r["input"], r["map"], r["mean"], r["sd"], r["low95"], r["high95"], learnt(r)] for r in result.table],
+    )
 
 
 def show_prices(scene: Scene, targets: Targets, folder: Path, as_json: bool, **options: Any) -> None:

@@ -40,9 +40,9 @@ def command(
     if scene is not None:
         read_scene(scene, ["anatomy.bundle=each participant's own"])
     _check_options(settings)
-    if slurm + (scheduler is not None) + (script is not None) > 1:
-        raise UsageError("--scheduler, --slurm or --write-slurm: one of them.")
-    options: dict[str, Any] = {"scene": scene, "settings": settings, "only": only or ()}
+    options: dict[str, Any] = {
+        "scene": scene, "settings": settings, "only": only or (), "scheduler": scheduler, "slurm": slurm,
+    }  # fmt: skip
     if dry_run or script is not None:
         plan = cohort.run_cohort(participants, folder, dry_run=True, script=script, **options)
         if as_json:
@@ -54,7 +54,7 @@ def command(
         out.print(_cost_words(plan.cost), highlight=False, soft_wrap=True)
         return
     with stages() as show:
-        found = cohort.run_cohort(participants, folder, scheduler=scheduler, slurm=slurm, progress=show, **options)
+        found = cohort.run_cohort(participants, folder, progress=show, **options)
     for note in found.summary["notes"]:
         warn(note)
     if as_json:

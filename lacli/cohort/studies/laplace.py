@@ -13,20 +13,22 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import meshio
 import numpy as np
 
+from lacli.anatomy.coordinates.describe import cell_label
 from lacli.anatomy.wall.thickness import of_bundle
+from lacli.base import vtkxml
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import InputError
 from lacli.contracts.bundle import Bundle, load
 from lacli.contracts.labels import BODY_REGIONS, ENDO, REGIONS
-from lacli.contracts.scene import load_scene
 from lacli.contracts.sections import MMHG_KPA
+from lacli.geometry import curves
 from lacli.geometry.tetrahedra import volumes
 from lacli.geometry.triangles import area_normals
 from lacli.mechanics.features import cell_gradient
 from lacli.mechanics.inputs import Cell, material_table
+from lacli.mechanics.simulation import finished
 from lacli.verification.runs import respond
 
 _FAILS = 1.5  # a ratio beyond it, or below its inverse: there the law fails
@@ -64,20 +66,21 @@ class LaplaceStudy:
 
 
 def of_run(run: Path) -> LaplaceStudy:
-    """The comparison for the folder of a run that kept its fields and found its unloaded state. Raises InputError, AnatomyError,
-    SolverMissingError, SimulationError."""
+    """The comparison for the folder of a run that kept its fields and found its unloaded state.
+
+    Raises InputError, UsageError and StorageError where scene, bundle or products have changed since, AnatomyError,
+    SolverMissingError, SimulationError.
+    """
     file = run / "fields" / "es.vtu"
     if not file.is_file():
         raise InputError(f'{file}: no such file; simulate with outputs.fields = "es".')
-    scene = load_scene(run / "scene.toml")
+    scene, _ = finished(run)
     bundle = load(Path(scene.anatomy.bundle))
-    mesh = meshio.read(file)
-    if "displacement_from_unloaded" not in mesh.point_data:
+    fields = vtkxml.read(file)
+    if "displacement_from_unloaded" not in fields.point_data:
         raise InputError(f"{run}: its unloaded state is not known; simulate with outputs.unloaded = true.")
-    x = np.asarray(mesh.points, float)
-    if len(x) != len(bundle.points):
-        raise InputError(f"{run}: its fields have {len(x)} points, its bundle {len(bundle.points)}: they are not of one another.")
-    free = x - np.asarray(mesh.point_data["displacement_from_unloaded"], float)
+    x = np.asarray(fields.points, float)
+    free = x - np.asarray(fields.point_data["displacement_from_unloaded"], float)
     materials = material_table(bundle, scene.materials, scene.numerics.kappa_points_kpa)
     pressure = scene.loads.esp_mmhg * MMHG_KPA
     deformed = replace(bundle, points=x)
@@ -113,7 +116,7 @@ def along_less_across(bundle: Bundle, materials: FloatArray, free: FloatArray, x
 def by_law(deformed: Bundle, thickness: Mapping[str, float], pressure: float) -> dict[str, tuple[float, float, float]]:
     """By region: the law's stress less that across (kPa), thickness and radius of mean curvature (mm)."""
     inner = deformed.triangles[deformed.tags == ENDO][:, :3]
-    owner = _regions_of(deformed, inner)
+    owner = cell_label(deformed, inner)
     found = {}
     for name, t in thickness.items():
         if name not in BODY_REGIONS or not (owner == REGIONS[name]).any():
@@ -133,18 +136,15 @@ def mean_curvature(points: FloatArray, triangles: IntArray, inside: np.ndarray) 
     normals = area_normals(points[triangles])
     area = 0.5 * np.linalg.norm(normals, axis=1)
     unit = normals / (2 * area)[:, None]
-    directed = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    owner = np.repeat(np.arange(len(triangles)), 3)
-    place = {(int(a), int(b)): k for (a, b), k in zip(directed, owner, strict=True)}
-    total = 0.0
-    for (a, b), k in zip(directed, owner, strict=True):
-        other = place.get((int(b), int(a)))
-        if a > b or other is None:
-            continue
-        edge = points[b] - points[a]
-        length = float(np.linalg.norm(edge))
-        angle = float(np.arctan2(np.cross(unit[k], unit[other]) @ edge / length, unit[k] @ unit[other]))
-        total += 0.25 * angle * length * (float(inside[k]) + float(inside[other]))
+    sides, _ = curves.side_pairs(curves.edge_table(triangles)[2])
+    one, other = sides.T // 3
+    # along the first triangle's side
+    start, end = (triangles[one, (sides[:, 0] + step) % 3] for step in (0, 1))
+    edge = points[end] - points[start]
+    length = np.linalg.norm(edge, axis=1)
+    turn = np.einsum("ki,ki->k", np.cross(unit[one], unit[other]), edge) / length
+    angle = np.arctan2(turn, np.einsum("ki,ki->k", unit[one], unit[other]))
+    total = 0.25 * float((angle * length * (inside[one].astype(float) + inside[other])).sum())
     return total / float(area[inside].sum())
 
 
@@ -155,12 +155,3 @@ def compared(stress: Mapping[str, float], law: Mapping[str, tuple[float, float, 
         raise InputError(f"{len(rows)} regions have both stresses; at least 3 are compared.")
     a, b = (np.array([getattr(row, key) for row in rows]) for key in ("laplace_kpa", "stress_kpa"))
     return LaplaceStudy(rows, float(np.corrcoef(a, b)[0, 1]), float(a @ b / (a @ a)), pressure)
-
-
-def _regions_of(bundle: Bundle, triangles: IntArray) -> IntArray:
-    """The region of the cell behind each triangle."""
-    from lacli.geometry.tetrahedra import boundary_faces
-
-    faces, cells = boundary_faces(bundle.tets[:, :4])
-    of = {tuple(sorted(map(int, face))): int(bundle.region[cell]) for face, cell in zip(faces[:, :3], cells, strict=True)}
-    return np.array([of[tuple(sorted(map(int, t)))] for t in triangles])

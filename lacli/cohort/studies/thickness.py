@@ -16,6 +16,7 @@ from lacli.base.arrays import FloatArray
 from lacli.base.errors import UsageError
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.sections import Materials
+from lacli.geometry.triangles import area_normals
 from lacli.verification import meshes
 from lacli.verification.equilibria import clamp, damping
 from lacli.verification.runs import GUCCIONE, Setup, material, solve
@@ -108,7 +109,7 @@ def _solved(thickness: float, share: float, springs: float, size_mm: float) -> S
     moved = np.linalg.norm(solution.states["loaded"][0] - bundle.points, axis=1)
     inner = bundle.triangles[bundle.tags == meshes.INNER][:, :3]
     corner = bundle.points[inner]
-    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    area = np.linalg.norm(area_normals(corner), axis=1)
     mean = moved[inner].mean(axis=1)
     inside = _polar(corner.mean(axis=1)) < 0.75 * PATCH
     whole, part = float(np.average(mean, weights=area)), float(np.average(mean[inside], weights=area[inside]))

@@ -124,10 +124,8 @@ def _parted(points: FloatArray, faces: IntArray, normal: FloatArray, lean: Float
     from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
     edges, _, of = paths.edge_table(faces)
-    order = np.argsort(of.ravel(), kind="stable")
-    beside = order // 3
-    twice = np.flatnonzero(np.diff(of.ravel()[order]) == 0)
-    one, two, edge = beside[twice], beside[twice + 1], of.ravel()[order][twice]
+    sides, edge = paths.side_pairs(of)
+    one, two = sides.T // 3
     length = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
     bend = np.degrees(np.arccos(np.clip((normal[one] * normal[two]).sum(axis=1), -1.0, 1.0)))
     border = STIFF * length[edge] / length.mean() * np.maximum(np.exp(-((bend / CREASE_DEG) ** 2)), 0.02)
