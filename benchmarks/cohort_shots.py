@@ -12,7 +12,6 @@ done before is not done again; the products are those of a study that nobody sho
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import random
 import shutil
@@ -25,6 +24,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import psutil
+from shots_cluster import Cluster
 
 from lacli.cohort.cluster import patients_on_cluster
 from lacli.cohort.participants import Participant
@@ -58,34 +58,6 @@ def patients(home: Path) -> list[tuple[Participant, list[Step]]]:
 def study(home: Path, address: str) -> dict[str, Outcome]:
     """What the client does."""
     return {o.participant_id: o for _, o in patients_on_cluster(patients(home), home, address, lambda index, step: None)}
-
-
-class Cluster:
-    """A scheduler and two workers with nannies on 127.0.0.1."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder, self.file = folder, Path(tempfile.mkdtemp(dir=folder)) / "scheduler.json"
-        self.scheduler = self._start("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard")
-        while not self.file.is_file():
-            time.sleep(0.05)
-        self.nannies = [self._start("worker", "--nthreads", "1", "--no-dashboard", "--host", "127.0.0.1",
-                                    "--local-directory", str(folder)) for _ in range(2)]  # fmt: skip
-        self.address = json.loads(self.file.read_text())["address"]
-
-    def _start(self, what: str, *options: str) -> psutil.Popen:
-        command = [sys.executable, "-m", "dask", what, "--scheduler-file", str(self.file), *options]
-        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        return psutil.Popen(command, start_new_session=True, **quiet)
-
-    def stop(self) -> None:
-        """End what this cluster started."""
-        for process in (*self.nannies, self.scheduler):
-            with suppress(psutil.Error):
-                for one in (*process.children(recursive=True), process):
-                    with suppress(psutil.Error):
-                        one.kill()
-            with suppress(psutil.Error, subprocess.TimeoutExpired):
-                process.wait(10)
 
 
 def at_work(home: Path) -> list[psutil.Process]:
