@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import importlib.util
 import os
 import signal
@@ -24,6 +25,7 @@ from lacli.base.processes.process import supervise
 from lacli.contracts.identity import run_key
 from lacli.contracts.scene import Scene, dump_scene
 from lacli.mechanics.execute import run_scenes
+from lacli.mechanics.places.cluster import _outcome
 from lacli.mechanics.store import list_runs, open_run
 
 SceneOf = Callable[..., Scene]
@@ -207,3 +209,21 @@ def test_no_scheduler_is_one_message(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(places, "_CONNECT_S", 1)
     with pytest.raises(UsageError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:1 "):
         list(run_scenes([], tmp_path, scheduler="tcp://127.0.0.1:1", task=busy))
+
+
+@pytest.mark.parametrize("error", [TimeoutError("timed out after 30 s."), asyncio.CancelledError()])
+def test_an_answer_that_went_with_its_worker_is_asked_for_again(error: BaseException) -> None:
+    """A worker dies after it has said that it is done, before its answer is fetched."""
+
+    class Gone:
+        status, cancelled = "finished", False
+
+        def result(self, timeout: float) -> None:
+            raise error
+
+        def cancel(self) -> None:
+            self.cancelled = True
+
+    future = Gone()
+    word, (kind, message) = _outcome(future)
+    assert (word, kind, future.cancelled) == ("ended", "lost_worker", True) and "gone" in message

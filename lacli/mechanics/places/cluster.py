@@ -6,6 +6,7 @@ ends what runs (FreeFEM on the workers included, within seconds), and the same c
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import logging
 import time
@@ -165,7 +166,11 @@ def _outcome(future: Any) -> tuple[str, Any]:
     from distributed.scheduler import KilledWorker
 
     if future.status == "finished":
-        return future.result(timeout=_CONNECT_S)
+        try:
+            return future.result(timeout=_CONNECT_S)
+        except (TimeoutError, asyncio.CancelledError):  # it died between its last word and our question
+            future.cancel()
+            return "ended", ("lost_worker", "The worker that had done it is gone, and its answer with it.")
     if future.status != "error":
         return "ended", ("cancelled", f"The cluster cancelled it ({future.status}).")
     error = future.exception(timeout=_CONNECT_S)
