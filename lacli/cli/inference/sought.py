@@ -35,7 +35,10 @@ def show_forecast(scene: Scene, targets: Targets, folder: Path, as_json: bool, *
         ["input", "prior's sd", "expected sd", "least", "most", "sd below prior's"],
         [[r["input"], r["prior_sd"], r["expected_sd"], r["least_sd"], r["most_sd"], learnt(r)] for r in rows],
     )
-    out.print("The calibration begins with these runs. sds are of a linear model: a bent posterior is wider.", soft_wrap=True)
+    of = " They have the cheap numerics, and nothing corrects them yet." if options.get("cheap") else ""
+    out.print(
+        f"The calibration begins with these runs.{of} sds are of a linear model: a bent posterior is wider.", soft_wrap=True
+    )
 
 
 def seek_and_show(scene: Scene, targets: Targets, folder: Path, as_json: bool, **options: Any) -> None:
