@@ -67,6 +67,24 @@ def read_history(path: Path) -> dict[str, dict[str, float]]:
     return found
 
 
+def read_rows(path: Path) -> dict[str, FloatArray]:
+    """Lines of a name and numbers, stacked under their names: (lines of the name, numbers in each).
+
+    Raises OSError, ValueError where a name's lines are not equally long or hold what is no finite number.
+    """
+    found: dict[str, list[FloatArray]] = {}
+    with path.open(encoding="ascii") as stream:
+        for line in stream:
+            name, _, numbers = line.strip().partition(" ")
+            if not line.endswith("\n") or not numbers:
+                raise ValueError(f"{path.name}: the line {name!r} is incomplete")
+            found.setdefault(name, []).append(np.array(numbers.split(), dtype=float))
+    rows = {name: np.array(lines) for name, lines in found.items()}
+    if bad := [name for name, table in rows.items() if not np.isfinite(table).all()]:
+        raise ValueError(f"{path.name}: {', '.join(bad)} not finite")
+    return rows
+
+
 def read_state(path: Path, count: int) -> tuple[FloatArray, FloatArray]:
     """Positions and reference positions (n, 3) mm of a state that a script has left, by the names of its columns.
 

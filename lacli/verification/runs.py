@@ -17,7 +17,7 @@ from lacli.base.errors import SimulationError
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.laws import NUMBER
 from lacli.freefem import run as freefem
-from lacli.freefem.files import CELL_ORDER, read_history, read_state, write_arrays, write_faces, write_medit
+from lacli.freefem.files import CELL_ORDER, read_history, read_rows, read_state, write_arrays, write_faces, write_medit
 from lacli.freefem.names import Task
 from lacli.freefem.program import find
 from lacli.freefem.template import render_template
@@ -242,15 +242,20 @@ def _ask(
             write_arrays(folder / "slopes.txt", np.array(slopes.shares), np.array(rates))
         choices = {"order": bundle.order, "points": points, "faces": files, "slopes": slopes is not None}
         outcome = _run("verification_forms.edp.j2", folder, **choices)
-        table = np.loadtxt(folder / "forms_out.txt").reshape(len(forms), 2 + 2 * (3 * n + nv))
-        derivatives = np.loadtxt(folder / "slopes_out.txt") if slopes is not None else np.zeros((0, 3 * n + nv))
-    size = 3 * n + nv
-    answers = []
-    for row in table:
-        r, k = row[2 : 2 + size], row[2 + size :]
-        forces = r[: 3 * n].reshape(3, n).T, r[3 * n :], k[: 3 * n].reshape(3, n).T, k[3 * n :]
-        answers.append(Answer(float(row[0]), float(row[1]), *forces))
+        said = read_rows(folder / "forms_out.txt")
+        derivatives = read_rows(folder / "slopes_out.txt")["slope"] if slopes is not None else np.zeros((0, 3 * n + nv))
+    energy, volume = said["energy_kpa_mm3"][:, 0], said["volume_mm3"][:, 0]
+    force, gap = _parts(said["residual"], n)
+    tangent_force, tangent_gap = _parts(said["tangent"], n)
+    answers = [
+        Answer(float(energy[k]), float(volume[k]), force[k], gap[k], tangent_force[k], tangent_gap[k]) for k in range(len(forms))
+    ]
     return answers, derivatives, outcome.cpu_s
+
+
+def _parts(rows: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
+    """Rows (k, 3 n + nv) of (x | y | z of all nodes | volume equations) as (k, n, 3) and (k, nv)."""
+    return rows[:, : 3 * n].reshape(-1, 3, n).transpose(0, 2, 1), rows[:, 3 * n :]
 
 
 def respond(materials: FloatArray, F: FloatArray, p: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float]:
@@ -260,12 +265,12 @@ def respond(materials: FloatArray, F: FloatArray, p: FloatArray) -> tuple[FloatA
         folder = Path(name)
         write_arrays(folder / "law.txt", materials, np.column_stack([F.reshape(-1, 9), p]))
         outcome = _run("verification_law.edp.j2", folder, material=Cell.STABILISATION.value)
-        table = np.loadtxt(folder / "response.txt").reshape(len(F), 118)
+        said = read_rows(folder / "response.txt")
     return (
-        table[:, 0],
-        table[:, 1:10].reshape(-1, 3, 3),
-        table[:, 10:91].reshape(-1, 3, 3, 3, 3),
-        table[:, 91:].reshape(-1, 3, 3, 3),
+        said["energy_kpa"][:, 0],
+        said["stress_kpa"].reshape(-1, 3, 3),
+        said["stress_by_gradient"].reshape(-1, 3, 3, 3, 3),
+        said["stress_by_fibre"].reshape(-1, 3, 3, 3),
         outcome.cpu_s,
     )
 

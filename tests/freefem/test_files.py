@@ -12,7 +12,16 @@ from hypothesis.extra import numpy as arrays
 
 from lacli.base.errors import InputError
 from lacli.freefem import template
-from lacli.freefem.files import CELL_ORDER, FACE_ORDER, read_history, read_state, write_arrays, write_faces, write_medit
+from lacli.freefem.files import (
+    CELL_ORDER,
+    FACE_ORDER,
+    read_history,
+    read_rows,
+    read_state,
+    write_arrays,
+    write_faces,
+    write_medit,
+)
 from lacli.freefem.template import render_template
 
 
@@ -112,3 +121,17 @@ def test_a_state_s_columns_are_found_by_name(tmp_path: Path) -> None:
     np.savetxt(file, np.hstack([x, reference]), header="x y z X Y W", comments="")
     with pytest.raises(ValueError, match=r"es\.txt has no Z"):
         read_state(file, 5)
+
+
+def test_rows_stand_under_their_names(tmp_path: Path) -> None:
+    file = tmp_path / "rows.txt"
+    file.write_text("energy 1.5\nforce 1 2 3\nenergy -2\nforce 4 5 6\n")
+    rows = read_rows(file)
+    assert rows["energy"].tolist() == [[1.5], [-2.0]] and rows["force"].tolist() == [[1, 2, 3], [4, 5, 6]]
+
+
+@pytest.mark.parametrize("text", ["a 1 2\na 1\n", "a 1 2", "a\n", "a one\n", "a 1 nan\n"])
+def test_rows_that_are_cut_short_or_no_numbers_are_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "rows.txt").write_text(text)
+    with pytest.raises(ValueError, match=r"."):
+        read_rows(tmp_path / "rows.txt")
