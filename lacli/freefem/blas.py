@@ -8,6 +8,7 @@ from pathlib import Path
 
 CHOICE = "OPENBLAS_CORETYPE"
 _CPU = Path("/proc/cpuinfo")
+_LAST = {"SkylakeX": "avx512vl", "Haswell": "fma"}  # of what a kernel needs, the flag that tells it apart
 _AVX512 = {"avx512f", "avx512cd", "avx512bw", "avx512dq", "avx512vl"}
 _AVX2 = {"avx2", "fma"}
 
@@ -42,3 +43,10 @@ def environment() -> dict[str, str]:
     """What a run's environment gets: the kernel's name, or nothing where the user has chosen or there is no need."""
     name = _here()
     return {} if name is None or os.environ.get(CHOICE) else {CHOICE: name}
+
+
+def shell_lines() -> str:
+    """The same for a shell script, which may be run on another machine: there only if its processor can."""
+    return "".join(
+        f"if grep -qw {_LAST[kernel]} /proc/cpuinfo; then export {name}={kernel}; fi\n" for name, kernel in environment().items()
+    )

@@ -13,7 +13,9 @@ from pathlib import Path
 from lacli.base import resources
 from lacli.base.files import write_text
 from lacli.contracts.case import Case, Plan
+from lacli.contracts.laws import LAWS
 from lacli.contracts.scene import Scene, dump_scene
+from lacli.freefem import blas
 from lacli.freefem import run as freefem
 from lacli.freefem.program import find
 from lacli.freefem.template import render_template
@@ -45,7 +47,7 @@ def write(case: Case, folder: Path) -> Deck:
     Raises SolverMissingError, StorageError.
     """
     write_text(folder / SCENE, dump_scene(case.scene))
-    plugin = engine.choose(case.scene)
+    plugin = engine.choose(case.scene.numerics.engine, LAWS[case.scene.materials.law])
     write_inputs(case, folder)
     write_text(folder / SCRIPT, render(case.scene, case.plan, plugin))
     return Deck(folder, engine.name(plugin), case.scene.numerics.timeout_s)
@@ -72,7 +74,7 @@ def shell_script() -> str:
     }
     exports = "".join(f"export {name}={shlex.quote(value)}\n" for name, value in sorted(wanted.items()))
     program = shlex.quote(str(found.binary))
-    return f'#!/bin/sh\nset -e\ncd "$(dirname "$0")"\n{exports}exec {program} -nw -ne -v 0 {SCRIPT}\n'
+    return f'#!/bin/sh\nset -e\ncd "$(dirname "$0")"\n{exports}{blas.shell_lines()}exec {program} -nw -ne -v 0 {SCRIPT}\n'
 
 
 def libraries() -> Path:

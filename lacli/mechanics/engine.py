@@ -11,8 +11,7 @@ from pathlib import Path
 
 from lacli.base import resources
 from lacli.base.errors import SceneError, SolverMissingError
-from lacli.contracts.laws import LAWS
-from lacli.contracts.scene import Scene
+from lacli.contracts.laws import LAWS, Law
 from lacli.freefem.plugins import compile_plugin, plugin_obstacle
 from lacli.freefem.program import find
 
@@ -38,15 +37,14 @@ def plugin() -> Path:
         raise SolverMissingError(f"{obstacle}. `lacli doctor` says more.") from error
 
 
-def choose(scene: Scene) -> Path | None:
-    """The compiled engine's file, or None for the script; ``numerics.engine`` decides.
+def choose(engine: str, law: Law) -> Path | None:
+    """The compiled engine's file, or None for the script; ``engine``, as ``numerics.engine``, decides.
 
     "auto" falls back on the script with one line of warning a process. Raises SolverMissingError where FreeFEM is missing, or
-    where the plugin cannot be built and is asked for, or alone has the scene's law; SceneError where the script is asked for such
+    where the plugin cannot be built and is asked for, or alone has the law; SceneError where the script is asked for such
     a law.
     """
-    law = LAWS[scene.materials.law]
-    if scene.numerics.engine == "script":
+    if engine == "script":
         if not law.script:
             raise SceneError(f"only the compiled engine has materials.law {law.name!r}: set numerics.engine to 'plugin'.")
         return None
@@ -54,7 +52,7 @@ def choose(scene: Scene) -> Path | None:
     try:
         return plugin()
     except SolverMissingError as error:
-        if scene.numerics.engine == "plugin" or not law.script:
+        if engine == "plugin" or not law.script:
             raise
         _warn(str(error))
         return None

@@ -16,15 +16,16 @@ from lacli.contracts.labels import EPI, REGIONS, RINGS, is_body
 from lacli.contracts.laws import LAWS
 from lacli.contracts.motion import Motion
 from lacli.contracts.scene import Scene
-from lacli.contracts.sections import MMHG_KPA
-from lacli.motion.annulus import scene_motion
+from lacli.contracts.sections import Outputs
+from lacli.mechanics.pressure import Pressure
+from lacli.motion.annulus import asked_motion
 
 
 def prepare(scene: Scene) -> Case:
     """The scene with its bundle, motion and plan, read and checked. Raises AnatomyError, InputError."""
     whole = bundles.load(scene.anatomy.bundle)
     bundle = bundles.as_order(whole, scene.numerics.order)
-    motion = scene_motion(scene, whole)
+    motion = asked_motion(scene.motion, whole, scene.anatomy.bundle)
     if motion is not None and bundle.order != whole.order:
         motion = motion.of_points(np.unique(whole.tets[:, :4]))
     return Case(scene, bundle, motion, make_plan(scene, bundle, motion), run_key(scene))
@@ -53,8 +54,12 @@ def make_plan(scene: Scene, bundle: Bundle, motion: Motion | None) -> Plan:
         )
     moving = motion is not None
     backward = scene.loads.edp_mmhg > 0 and scene.numerics.unloading == "backward"
+    title = [f"pressure {scene.loads.edp_mmhg:g} to {scene.loads.esp_mmhg:g} mmHg", LAWS[scene.materials.law].title]
+    title += ["annulus moves"] if moving else ["ring held"]
+    title += ["vein springs"] if veins else []
+    title += ["pericardium"] if pericardium else []
     return Plan(
-        title=_title(scene, moving, veins, pericardium),
+        title=", ".join(title),
         unloading=scene.loads.edp_mmhg > 0,
         prestrain=scene.loads.edp_mmhg > 0 and scene.numerics.unloading == "prestrain",
         unloaded=scene.loads.edp_mmhg > 0 and scene.numerics.unloading == "prestrain" and scene.outputs.unloaded,
@@ -63,67 +68,32 @@ def make_plan(scene: Scene, bundle: Bundle, motion: Motion | None) -> Plan:
         pericardium=pericardium,
         outward_only=scene.pericardium.outward_only,
         sensitivities=scene.outputs.sensitivities and not backward,
-        phases=_phases(scene, motion),
+        phases=_phases(Pressure(scene.loads, motion.es_time if motion is not None else scene.motion.es_time), scene.outputs),
     )
 
 
-def _title(scene: Scene, moving: bool, veins: bool, pericardium: bool) -> str:
-    parts = [f"pressure {scene.loads.edp_mmhg:g} to {scene.loads.esp_mmhg:g} mmHg", LAWS[scene.materials.law].title]
-    parts += ["annulus moves"] if moving else ["ring held"]
-    parts += ["vein springs"] if veins else []
-    parts += ["pericardium"] if pericardium else []
-    return ", ".join(parts)
-
-
-def es_time(scene: Scene, motion: Motion | None) -> float:
-    """Time of end-systole, the bundle's own where its motion is used."""
-    return motion.es_time if motion is not None else scene.motion.es_time
-
-
-def pressure_shares(scene: Scene, motion: Motion | None, time: float) -> tuple[float, float]:
-    """Derivatives of ``pressure_kpa`` along EDP and ESP; of a scene's own transient, EDP is the first value alone."""
-    given = scene.loads.transient_mmhg
-    if given is not None:
-        times = [time for time, _ in given]
-        return float(np.interp(time, times, [1.0] + [0.0] * (len(times) - 1))), 0.0
-    es = es_time(scene, motion)
-    risen = float(np.interp(time, [0.0, es, es + 0.5 * (1.0 - es), 1.0], [0.0, 1.0, 0.0, 0.0]))
-    return 1.0 - risen, risen
-
-
-def pressure_kpa(scene: Scene, motion: Motion | None, time: float) -> float:
-    """Idealised transient: EDP -> ESP linearly up to end-systole, back over half of what is left, then constant; or the
-    scene's own ``transient_mmhg``, scaled by nothing."""
-    given = scene.loads.transient_mmhg
-    if given is not None:
-        times, values = np.array(given).T
-        return float(np.interp(time, times, values)) * MMHG_KPA
-    by_edp, by_esp = pressure_shares(scene, motion, time)
-    return by_edp * scene.loads.edp_kpa + by_esp * scene.loads.esp_kpa
-
-
-def _phases(scene: Scene, motion: Motion | None) -> tuple[Phase, ...]:
-    es = es_time(scene, motion)
+def _phases(pressure: Pressure, outputs: Outputs) -> tuple[Phase, ...]:
+    es, loads = pressure.es, pressure.loads
     phases = []
-    if scene.loads.edp_mmhg > 0:
-        phases.append(Phase("load", "ed", 0.0, scene.loads.edp_kpa, 0.0, 0.0, 1.0, 0.0))
-    count = max(1, scene.outputs.frames)
+    if loads.edp_mmhg > 0:
+        phases.append(Phase("load", "ed", 0.0, loads.edp_kpa, 0.0, 0.0, 1.0, 0.0))
+    count = max(1, outputs.frames)
     times = list(np.linspace(0.0, es, count + 1))
-    if scene.outputs.times:
+    if outputs.times:
         # a time as near to end-systole as names can tell is end-systole
-        given = [t for t in scene.outputs.times if abs(t - es) > SAME_TIME]
+        given = [t for t in outputs.times if abs(t - es) > SAME_TIME]
         times = sorted([0.0, es, *given])
-    elif scene.outputs.conduit:
+    elif outputs.conduit:
         times += list(np.linspace(es, 1.0, max(4, count) + 1)[1:])
     for index, (start, end) in enumerate(itertools.pairwise(times)):
         reservoir = end <= es + 1e-12
-        by_edp, by_esp = pressure_shares(scene, motion, float(end))
+        by_edp, by_esp = pressure.shares(float(end))
         phases.append(
             Phase(
                 name="reservoir" if reservoir else "conduit",
                 file="es" if abs(end - es) < 1e-12 else f"frame{index + 1:03d}",
-                pressure_from=pressure_kpa(scene, motion, float(start)),
-                pressure_to=pressure_kpa(scene, motion, float(end)),
+                pressure_from=pressure.kpa(float(start)),
+                pressure_to=pressure.kpa(float(end)),
                 time_from=float(start),
                 time_to=float(end),
                 by_edp=by_edp,
@@ -138,7 +108,7 @@ _METHODS = {"prestrain": "the wall's strain in the image", "backward": "backward
 
 def describe(scene: Scene, bundle: Bundle) -> list[tuple[str, bool, str]]:
     """(term, included, why) of every term that a scene can have."""
-    motion = scene_motion(scene, bundle)
+    motion = asked_motion(scene.motion, bundle, scene.anatomy.bundle)
     plan = make_plan(scene, bundle, motion)
     materials, loads = scene.materials, scene.loads
     regional = not (materials.c_kpa.uniform and materials.alpha.uniform)

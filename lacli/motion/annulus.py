@@ -5,6 +5,8 @@ Files: ``motion.npz`` in a bundle's folder with times (f,), wall_point (n,), pos
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from lacli.base.arrays import IntArray
@@ -12,7 +14,7 @@ from lacli.base.errors import AnatomyError, InputError
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.labels import RINGS
 from lacli.contracts.motion import Motion, load_motion
-from lacli.contracts.scene import Scene
+from lacli.contracts.sections import MotionSettings
 
 
 def annulus_points(bundle: Bundle) -> IntArray:
@@ -58,16 +60,19 @@ def descend(
     return Motion(times, ids, ring + course[:, None, None] * shift, es_time)
 
 
-def scene_motion(scene: Scene, bundle: Bundle) -> Motion | None:
-    """The annulus's motion that the scene asks for, or None where it is held."""
-    if scene.motion.annulus == "none":
+def asked_motion(settings: MotionSettings, bundle: Bundle, folder: Path) -> Motion | None:
+    """The annulus's motion that a scene asks for, or None where it is held; ``folder`` is the bundle's.
+
+    Raises AnatomyError where its file does not fit the bundle, InputError where it is missing or damaged.
+    """
+    if settings.annulus == "none":
         return None
-    if scene.motion.annulus == "axial":
-        return descend(bundle, scene.motion.frames, scene.motion.amplitude_mm, scene.motion.es_time, 0.0)
-    motion = load_motion(scene.anatomy.bundle)
+    if settings.annulus == "axial":
+        return descend(bundle, settings.frames, settings.amplitude_mm, settings.es_time, 0.0)
+    motion = load_motion(folder)
     if motion.wall_point.max() >= len(bundle.points) or motion.wall_point.min() < 0:
-        raise AnatomyError(f"{scene.anatomy.bundle}/motion.npz names points that wall.vtu does not have; write both together.")
+        raise AnatomyError(f"{folder}/motion.npz names points that wall.vtu does not have; write both together.")
     gap = float(np.abs(motion.positions[0] - bundle.points[motion.wall_point]).max())
     if gap > 1e-3:
-        raise AnatomyError(f"{scene.anatomy.bundle}/motion.npz: its first frame is {gap:.3g} mm away from the bundle's geometry.")
+        raise AnatomyError(f"{folder}/motion.npz: its first frame is {gap:.3g} mm away from the bundle's geometry.")
     return motion

@@ -1,6 +1,7 @@
 """FreeFEM's solver runs on the processor's own kernels, whether OpenBLAS knows the processor or not."""
 
 import subprocess
+from pathlib import Path
 
 import pytest
 
@@ -38,6 +39,17 @@ def test_a_users_choice_stands(monkeypatch: pytest.MonkeyPatch) -> None:
     assert find().environment()[blas.CHOICE] == "SkylakeX"
     monkeypatch.setenv(blas.CHOICE, "Nehalem")
     assert find().environment()[blas.CHOICE] == "Nehalem"
+
+
+def test_a_script_asks_the_machine_it_runs_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(blas.CHOICE, raising=False)
+    monkeypatch.setattr(blas, "_here", lambda: "SkylakeX")
+    shown = f'set -e\n{blas.shell_lines()}echo "kernel ${blas.CHOICE}"'
+    has = "avx512vl" in Path("/proc/cpuinfo").read_text(encoding="utf-8").split()
+    said = subprocess.run(["sh", "-c", shown], capture_output=True, text=True, check=True)
+    assert said.stdout == ("kernel SkylakeX\n" if has else "kernel \n")
+    monkeypatch.setattr(blas, "_here", lambda: None)
+    assert blas.shell_lines() == ""
 
 
 def test_freefem_starts_on_it() -> None:

@@ -18,11 +18,12 @@ from lacli.contracts import bundle as bundles
 from lacli.contracts.bundle import Bundle, as_order
 from lacli.contracts.case import Case
 from lacli.contracts.labels import EPI, RINGS
+from lacli.contracts.laws import LAWS
 from lacli.contracts.scene import Scene, build_scene
 from lacli.freefem import run as running
 from lacli.freefem.program import FreeFem, find
 from lacli.mechanics import engine, inputs, plan, simulation
-from lacli.motion.annulus import scene_motion
+from lacli.motion.annulus import asked_motion
 
 SOLVERS = resources.folder("solvers") / "freefem"
 SCALARS = 4
@@ -125,7 +126,7 @@ def disturbed(ball: Bundle, folder: Path, place: Path, order: int, points: int, 
     """What ``DISTURBED`` writes with one of the engines."""
     settings = scene(folder, f"numerics.order={order}", "materials.plane_c_kpa=3")
     work = as_order(ball, order)
-    motion = scene_motion(settings, work)
+    motion = asked_motion(settings.motion, work, settings.anatomy.bundle)
     inputs.write_inputs(Case(settings, work, motion, plan.make_plan(settings, work, motion), key=""), place)
     load = f'load "{engine.plugin().with_suffix("")}"' if chosen == "plugin" else ""
     text = DISTURBED.replace("LOAD", load).replace("PORDER", f"P{order}").replace("POINTS", str(points))
@@ -205,8 +206,8 @@ def test_without_a_compiler_a_run_goes_through_and_says_so_once(
     (line,) = [record.getMessage() for record in caplog.records]
     assert "twice the time" in line and "apt-get install -y g++" in line and "\n" not in line
     with pytest.raises(SolverMissingError, match=r"apt-get install -y g\+\+"):
-        engine.choose(scene(folder, "numerics.engine=plugin"))
-    assert engine.choose(scene(folder, "numerics.engine=script")) is None
+        engine.choose("plugin", LAWS["guccione"])
+    assert engine.choose("script", LAWS["guccione"]) is None
 
 
 def test_what_mumps_says_when_it_fails_is_a_kind_of_failure(freefem: FreeFem, tmp_path: Path) -> None:

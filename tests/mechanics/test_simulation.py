@@ -22,7 +22,7 @@ from lacli.freefem import run as freefem
 from lacli.freefem.files import read_state
 from lacli.mechanics import deck, inputs, plan, simulation
 from lacli.mechanics.features import regional_extras
-from lacli.motion.annulus import scene_motion
+from lacli.motion.annulus import asked_motion
 from lacli.synthetic.atrium import synthesize
 
 
@@ -58,7 +58,7 @@ def scene(folder: Path, *overrides: str) -> Scene:
 
 def rendered(folder: Path, ball: Bundle, *overrides: str) -> str:
     chosen = scene(folder, *overrides)
-    motion = scene_motion(chosen, ball)
+    motion = asked_motion(chosen.motion, ball, chosen.anatomy.bundle)
     return deck.render(chosen, plan.make_plan(chosen, ball, motion), Path("/tmp/lacli.so"))
 
 

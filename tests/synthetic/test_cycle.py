@@ -10,7 +10,7 @@ import pytest
 
 from lacli.base.errors import AnatomyError
 from lacli.contracts.parameters import parameter_box
-from lacli.mechanics.plan import pressure_kpa
+from lacli.mechanics.pressure import Pressure
 from lacli.synthetic import cycle, gated, gated_case
 from lacli.synthetic.atrium_folder import _finished
 
@@ -33,7 +33,7 @@ def test_the_cycle_s_pressure_rises_to_end_systole_and_returns(tmp_path: Path) -
     parameters = cycle.draw_parameters(1)
     scene = cycle.cycle_scene(tmp_path / "la", parameters, 0.4, 1)
     assert scene.numerics.order == 1 and scene.outputs.conduit
-    mmhg = [pressure_kpa(scene, None, t) / 0.133322 for t in np.linspace(0.0, 1.0, 101)]
+    mmhg = [Pressure(scene.loads, scene.motion.es_time).kpa(t) / 0.133322 for t in np.linspace(0.0, 1.0, 101)]
     assert mmhg[0] == pytest.approx(parameters["edp_mmhg"], rel=1e-3) and mmhg[-1] == pytest.approx(mmhg[0], rel=1e-3)
     assert max(mmhg) == pytest.approx(parameters["esp_mmhg"], rel=1e-3)
     assert int(np.argmax(mmhg)) == 40
