@@ -23,6 +23,7 @@ from lacli.contracts.features import parse
 from lacli.motion import frames as framing
 from lacli.motion import uncertainty
 from lacli.motion.patient import Settings, Tracked, track
+from lacli.motion.shrinkage import kind_of
 from lacli.motion.targets import Covaried, measured
 from lacli.synthetic.cycle import draw_parameters
 from lacli.synthetic.gated import Acquisition
@@ -112,7 +113,7 @@ def table(rows: list[dict[str, Any]]) -> None:
     z = pd.concat([pd.Series(row["z"], name=row["seed"]) for row in rows], axis=1)
     regional = z[[parse(name)[0].region is not None for name in z.index]]
     inside = float((regional.abs() <= 2).to_numpy().mean())
-    kind = pd.Series({name: uncertainty.kind_of(parse(name)[0].key)[0] for name in z.index})
+    kind = pd.Series({name: kind_of(parse(name)[0].key)[0] for name in z.index})
 
     def over(name: str, how: Any = np.max) -> float:
         return float(how([row[name] for row in rows]))

@@ -36,9 +36,13 @@ def validate(run: Path, motion: Path, *, targets: Path | None = None, out: Path 
     sd, phases = info.get("sd"), info.get("phases")
     if not isinstance(sd, dict) or not isinstance(phases, dict) or not isinstance(phases.get("es"), (int, float)):
         raise InputError(f"{motion / 'tracking.json'}: no sd or phases in it; track again.")
+    shrinkage = info.get("shrinkage")
+    parts = shrinkage.values() if isinstance(shrinkage, dict) else () if shrinkage is None else (None,)
+    if not all(isinstance(part, dict) and isinstance(part.get("sd"), float) for part in parts):
+        raise InputError(f"{motion / 'tracking.json'}: its shrinkage is damaged; track again.")
     names = read_targets(targets or motion / "targets.toml").names
     try:
-        found = compare(simulated, tracked, {k: float(v) for k, v in sd.items()}, names, float(phases["es"]))
+        found = compare(simulated, tracked, {k: float(v) for k, v in sd.items()}, names, float(phases["es"]), shrinkage)
     except InputError as error:
         raise InputError(f"{run} against {motion}: {error}") from error
     if out is not None:

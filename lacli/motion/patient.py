@@ -95,13 +95,15 @@ def track(
     )
     found = [f.at(bundle.points) for f in again.fields]
     normal = nodal_axes(bundle, surface)["normal"]
-    errors, by_frame = [], []
+    errors, changes, by_frame = [], [], []
     for i, k, u in zip(chosen, known[1:], found[1:], strict=True):
         error = uncertainty.as_of_a_true_motion(u - k.displacement, normal)
         right, got = (surface.features(bundle.points + k.displacement + e) for e in (np.zeros_like(error), error))
         errors.append({key: got[key] - right[key] for key in right})
+        changes.append({key: right[key] - course.features[0][key] for key in right})
         by_frame.append((float(times[i + 1]), uncertainty.surface_error(surface, error)))
-    model = uncertainty.error_model(errors)
+    model = uncertainty.error_model(errors, changes)
+    course = course.restored(model.shrinkage)
     info = {
         "engine": settings.engine,
         "engine_settings": ENGINES[settings.engine].settings,

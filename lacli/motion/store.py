@@ -24,6 +24,7 @@ from lacli.motion.annulus import annulus_points
 from lacli.motion.axes import nodal_axes
 from lacli.motion.patient import Tracked
 from lacli.motion.phases import Phases
+from lacli.motion.shrinkage import kind_of
 from lacli.motion.targets import Covaried
 
 COVARIANCE = "targets_covariance.npz"
@@ -130,4 +131,17 @@ def _errors(tracked: Tracked) -> dict[str, Any]:
         "closure_mm": tracked.closure_mm,
         "correlation_between_frames": tracked.model.between,
         "sd": dict(zip(tracked.model.keys, tracked.model.sd.tolist(), strict=True)),
+        "shrinkage": _shrinkage(tracked),
+    }
+
+
+def _shrinkage(tracked: Tracked) -> dict[str, dict[str, float]] | None:
+    """By kind of feature: the share of a change that registration finds too much, which targets and transients no longer have,
+    and its sd."""
+    found = tracked.model.shrinkage
+    if found is None:
+        return None
+    return {
+        kind_of(key)[0]: {"share": float(share), "sd": float(sd)}
+        for key, share, sd in zip(found.keys, found.share, found.sd, strict=True)
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
@@ -14,6 +14,7 @@ from lacli.base.errors import InputError, UsageError
 from lacli.contracts.features import PUBLISHED, at_time
 from lacli.contracts.targets import Targets
 from lacli.motion.phases import Phases, phases_of
+from lacli.motion.shrinkage import Shrinkage
 from lacli.motion.uncertainty import ErrorModel
 
 PUBLISHED_VOLUME_SHARE = 0.05
@@ -25,13 +26,17 @@ _LEAST_RISE = 0.01
 
 @dataclass(frozen=True)
 class Course:
-    """The endocardium through the cycle: times (f,) from 0 below 1, positions (f, n, 3) mm, features per frame, phases."""
+    """The endocardium through the cycle: times (f,) from 0 below 1, positions (f, n, 3) mm, features per frame, phases.
+
+    ``shrinkage``: of registration, where it has been undone in features and phases; positions are as they were tracked.
+    """
 
     surface: Endocardium
     times: FloatArray
     positions: FloatArray
     features: list[dict[str, float]]
     phases: Phases
+    shrinkage: Shrinkage | None = None
 
     @classmethod
     def of(cls, surface: Endocardium, times: FloatArray, displacement: FloatArray) -> Course:
@@ -46,6 +51,14 @@ class Course:
             )
         return cls(surface, times, positions, features, phases_of(times, volume))
 
+    def restored(self, shrinkage: Shrinkage | None) -> Course:
+        """The same without the shrinkage of registration."""
+        if shrinkage is None:
+            return self
+        features = [shrinkage.undone(row, self.features[0]) for row in self.features]
+        phases = phases_of(self.times, np.array([row["volume_ml"] for row in features]))
+        return replace(self, features=features, phases=phases, shrinkage=shrinkage)
+
     def positions_at(self, time: float) -> FloatArray:
         """(n, 3) mm at any time of the cycle: third-order spline per point through the frames, periodic."""
         closed = np.concatenate([self.positions, self.positions[:1]])
@@ -54,6 +67,11 @@ class Course:
 
     def features_at(self, time: float) -> dict[str, float]:
         """All features at any time of the cycle."""
+        row = self.tracked_at(time)
+        return row if self.shrinkage is None else self.shrinkage.undone(row, self.features[0])
+
+    def tracked_at(self, time: float) -> dict[str, float]:
+        """The same as tracked, whatever registration has lost."""
         return self.surface.features(self.positions_at(time))
 
     def interpolation_error(self, time: float) -> dict[str, float]:
@@ -86,7 +104,8 @@ def measured(course: Course, model: ErrorModel, times: Sequence[float] | None = 
     """All features at ES (without a time in their names) and ``@<time>`` at every frame after ED, or at ``times``.
 
     Errors of one frame go together as ``model.correlation``, those of two frames by ``model.between``; end-diastole has none, and
-    an interpolated time has those of the frames it is made from, and that of the interpolation.
+    an interpolated time has those of the frames it is made from, and that of the interpolation. Where the course is restored from
+    registration's shrinkage, what is not known of that moves all targets of a kind together.
     """
     es = course.phases.es
     wanted = [float(t) for t in (course.times[1:] if times is None else times)]
@@ -101,12 +120,14 @@ def measured(course: Course, model: ErrorModel, times: Sequence[float] | None = 
     when: list[float | None] = []
     weights = []
     between = []
+    changes = []
     for time in [None, *wanted]:
         at = es if time is None else time
         row = course.features_at(at)
         for key in keys:
             names.append(("esv_ml" if key == "volume_ml" else key) if time is None else at_time(key, time))
             means.append(row[key])
+            changes.append(row[key] - course.features[0][key])
             when.append(time)
         weights.append(course.weights(at)[1:])
         missing = course.interpolation_error(at)
@@ -122,6 +143,8 @@ def measured(course: Course, model: ErrorModel, times: Sequence[float] | None = 
         # what lies between frames is unknown for all features together
         part = slice(i * len(keys), (i + 1) * len(keys))
         covariance[part, part] += np.outer(error, error)
+    if course.shrinkage is not None:
+        covariance += course.shrinkage.covariance(keys * len(weights), np.array(changes))
     covariance[np.diag_indices_from(covariance)] *= 1.0 + _NUGGET
     targets = Targets(tuple(names), np.array(means), np.sqrt(np.diag(covariance)))
     return Covaried(targets, covariance, tuple(when))
@@ -129,8 +152,8 @@ def measured(course: Course, model: ErrorModel, times: Sequence[float] | None = 
 
 def published(course: Course, ed_residual_mm: Mapping[str, float]) -> Covaried:
     """The seven of the published calibration: ESV (sd 5 % of ED volume) and mean displacements at ES (sd: what is left when
-    end-diastole is registered to itself, by region), their errors independent as there."""
-    row = course.features_at(course.phases.es)
+    end-diastole is registered to itself, by region), their errors independent, the motion as tracked, as there."""
+    row = course.tracked_at(course.phases.es)
     values, sds = [], []
     for name in PUBLISHED:
         if name == "esv_ml":

@@ -19,6 +19,7 @@ from lacli.base.arrays import FloatArray
 from lacli.contracts.labels import REGIONS
 from lacli.geometry.quadrature import at_quadrature
 from lacli.motion.field import Field, pull
+from lacli.motion.shrinkage import Shrinkage, kind_of, shrinkage_of
 from lacli.motion.tracking import Pair
 
 SEED = 20260420
@@ -151,32 +152,33 @@ def chosen_frames(count: int, most: int) -> list[int]:
 
 @dataclass(frozen=True)
 class ErrorModel:
-    """Errors of features: sd by key, correlation (k, k) between keys of one frame, ``between`` frames (one number)."""
+    """Errors of features: sd by key, correlation (k, k) between keys of one frame, ``between`` frames (one number).
+
+    ``shrinkage``, by key: what registration finds of a change, less the change, over it (-0.03: 3 % too little), and its sd.
+    """
 
     keys: tuple[str, ...]
     sd: FloatArray
     correlation: FloatArray
     between: float
     samples: int
+    shrinkage: Shrinkage | None = None
 
 
-def kind_of(key: str) -> tuple[str, str]:
-    """Kind of a feature and its region ("" for the whole): ("n", "roof")."""
-    for region in REGIONS:
-        if f"_{region}" in key:
-            return key.replace(f"_{region}", "").removesuffix("_mm"), region
-    return ("d_global" if key == "d_global_mm" else key.removesuffix("_ml")), ""
+def error_model(errors: Sequence[Mapping[str, float]], changes: Sequence[Mapping[str, float]] | None = None) -> ErrorModel:
+    """From the features' errors in several known motions, and their changes since end-diastole there.
 
-
-def error_model(errors: Sequence[Mapping[str, float]]) -> ErrorModel:
-    """From the features' errors in several known motions.
-
-    A region's sd is drawn towards that of its kind over all regions, since few motions tell it. Correlations are means over
-    regions and motions for each two kinds, within a region and between two. What frames share is the mean product of one
-    feature's errors in two motions.
+    With changes, the part of the errors that goes with them is the shrinkage, and the rest the error. A region's sd is drawn
+    towards that of its kind over all regions, since few motions tell it. Correlations are means over regions and motions for
+    each two kinds, within a region and between two. What frames share is the mean product of one feature's errors in two motions.
     """
     keys = tuple(errors[0])
     e = np.array([[row[key] for key in keys] for row in errors])
+    found = None
+    if changes is not None:
+        change = np.array([[row[key] for key in keys] for row in changes])
+        found = shrinkage_of(keys, e, change)
+        e = e - found.share * change
     kinds = [kind_of(key) for key in keys]
     names = [kind for kind, _ in kinds]
     pooled = {kind: float(np.mean(e[:, [i for i, n in enumerate(names) if n == kind]] ** 2)) for kind in set(names)}
@@ -204,7 +206,7 @@ def error_model(errors: Sequence[Mapping[str, float]]) -> ErrorModel:
         total = z.sum(axis=0)
         pairs = (total**2 - (z**2).sum(axis=0)) / (len(e) * (len(e) - 1))
         between = float(np.clip(pairs.mean(), 0.0, 0.95))
-    return ErrorModel(keys, sd, nearest_correlation(correlation), between, len(e))
+    return ErrorModel(keys, sd, nearest_correlation(correlation), between, len(e), found)
 
 
 def nearest_correlation(matrix: FloatArray) -> FloatArray:

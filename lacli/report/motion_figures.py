@@ -68,6 +68,8 @@ def transients(folder: Path, picture: Path) -> Path:
         import matplotlib.pyplot as plt
         from scipy.interpolate import CubicSpline
 
+        from lacli.motion.shrinkage import spread
+
         rows = [p for p in _COMPONENTS if p.format("roof") in frame]
         figure, axes = plt.subplots(len(rows) + 1, 1, figsize=(5.2, 1.7 * (len(rows) + 1)), sharex=True)
 
@@ -75,8 +77,9 @@ def transients(folder: Path, picture: Path) -> Path:
             value = np.append(frame[key], frame[key].iloc[0])
             line = CubicSpline(time, value, bc_type="periodic")(fine)
             # at end-diastole there is no error by definition, so the band opens from there
-            reach = 2.0 * sd[key] * np.clip(np.minimum(fine, 1.0 - fine) / max(time[1], 1e-3), 0.0, 1.0)
-            reach = np.full_like(fine, 2.0 * sd[key]) if key == "volume_ml" else reach
+            reach = 2.0 * spread(key, sd[key], line - line[0], info.get("shrinkage"))
+            if key != "volume_ml":
+                reach = reach * np.clip(np.minimum(fine, 1.0 - fine) / max(time[1], 1e-3), 0.0, 1.0)
             axis.fill_between(fine, line - reach, line + reach, color=colour, alpha=0.18, linewidth=0)
             axis.plot(fine, line, color=colour, linewidth=1.2, label=label)
             axis.plot(frame["time"], frame[key], "o", color=colour, markersize=2.5)

@@ -28,7 +28,7 @@ def transients(found: Validation, picture: Path) -> Path:
                     continue
                 j, colour = found.keys.index(key), REGION_COLOURS.get(region, "#333333")
                 axis.plot(found.times, found.simulated[:, j], color=colour, linewidth=1.2, label=region or None)
-                bars = 2.0 * found.sd[j] if np.isfinite(found.sd[j]) else 0.0
+                bars = 2.0 * np.nan_to_num(found.sd[:, j])
                 axis.errorbar(found.times, found.tracked[:, j], yerr=bars, fmt="none", ecolor=colour, elinewidth=0.7, alpha=0.6)
                 for used, face in ((True, colour), (False, "white")):
                     mine = found.used[:, j] == used

@@ -95,6 +95,11 @@ def _say(found: api.Tracking, as_json: bool) -> None:
     err.print(
         f"frames' times: {found.report['times_from']}; the nearest frame to ES is {phases.es_gap:.3f} of the RR interval away."
     )
+    if shrinkage := found.report["shrinkage"]:
+        told = ", ".join(f"{kind} {-100.0 * part['share']:.1f} +- {100.0 * part['sd']:.1f} %" for kind, part in shrinkage.items())
+        err.print(
+            f"registration finds too little motion, by known motions: {told}; undone in targets and transients.", highlight=False
+        )
     out.print(
         f"written: {found.folder} (motion.npz, targets.toml, transients.csv, frames/, {len(targets.names)} targets)",
         highlight=False,

@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 from lacli.base.arrays import BoolArray, FloatArray
 from lacli.base.errors import InputError
 from lacli.contracts.features import KEYS, parse
-from lacli.motion.uncertainty import kind_of
+from lacli.motion.shrinkage import kind_of, spread
 
 SAME_TIME = 0.02  # of the cycle: a target so near to a frame has used it
 _KINDS = ("volume", "d_global", "d", "n", "a", "b", "area_strain", "fibre_strain")
@@ -22,7 +22,7 @@ _KINDS = ("volume", "d_global", "d", "n", "a", "b", "area_strain", "fibre_strain
 class Validation:
     """Tracked frames within the simulated part of the cycle.
 
-    times (f,): fractions of the RR interval; keys (k,); simulated, tracked (f, k): volumes as change from end-diastole; sd (k,)
+    times (f,): fractions of the RR interval; keys (k,); simulated, tracked (f, k): volumes as change from end-diastole; sd (f, k)
     of the tracked, NaN where not known; used (f, k): whether a target of the calibration stood at this frame in this feature.
     left_out: tracked frames that the simulation does not reach.
     """
@@ -44,8 +44,8 @@ class Validation:
             row: dict[str, float | bool] = {"time": float(time), "used": bool(self.used[i].any())}
             for kind, columns in self._kinds().items():
                 row[kind] = _rms(difference[i, columns])
-            known = np.isfinite(self.sd)
-            row["in_sd"] = _rms(difference[i, known] / self.sd[known]) if known.any() else float("nan")
+            known = np.isfinite(self.sd[i])
+            row["in_sd"] = _rms(difference[i, known] / self.sd[i, known]) if known.any() else float("nan")
             rows.append(row)
         return pd.DataFrame(rows)
 
@@ -75,12 +75,14 @@ def compare(
     sd: Mapping[str, float],
     targets: Iterable[str] = (),
     es_time: float | None = None,
+    shrinkage: Mapping[str, Mapping[str, float]] | None = None,
 ) -> Validation:
     """A simulation's transients (a row per state, ``time`` from end-diastole on) against a tracked motion's (a row per frame).
 
     targets: names that the calibration used (``n_roof_mm@0.3``); one without a time is of ``es_time``, whose nearest frame counts
-    as used. Between simulated states a cubic spline is taken. Volumes are compared by their change from end-diastole, since mesh
-    and image may enclose a little more or less there. Raises InputError where the tables lack times or share no feature or frame.
+    as used. sd, shrinkage: of the tracked features, as in tracking.json. Between simulated states a cubic spline is taken.
+    Volumes are compared by their change from end-diastole, since mesh and image may enclose a little more or less there. Raises
+    InputError where the tables lack times or share no feature or frame.
     """
     for name, table in (("simulated", simulated), ("tracked", tracked)):
         if "time" not in table or len(table) < 2 or not np.all(np.diff(table["time"].to_numpy(dtype=float)) > 0):
@@ -105,10 +107,12 @@ def compare(
     at = np.clip(all_times[here], t[0], t[-1])
     course = CubicSpline(t, values[0], axis=0) if len(t) > 3 else None
     got = course(at) if course is not None else np.column_stack([np.interp(at, t, column) for column in values[0].T])
-    spread = np.array([float(sd.get(key, np.nan)) for key in keys])
-    spread[~(spread > 0)] = np.nan
+    given = values[1][here]
+    changes = given - values[1][0]
+    error = np.column_stack([spread(key, float(sd.get(key, np.nan)), changes[:, j], shrinkage) for j, key in enumerate(keys)])
+    error[~(error > 0)] = np.nan
     used = _used(all_times[here], keys, targets, es_time)
-    return Validation(all_times[here], keys, np.asarray(got), values[1][here], spread, used, int(later.sum() - here.sum()))
+    return Validation(all_times[here], keys, np.asarray(got), given, error, used, int(later.sum() - here.sum()))
 
 
 def _used(times: FloatArray, keys: tuple[str, ...], targets: Iterable[str], es_time: float | None) -> BoolArray:

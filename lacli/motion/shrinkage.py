@@ -1,0 +1,84 @@
+"""By how much registration finds too little motion: measured by known motions, and undone.
+
+A regular field is stiffer than the heart: it misses a share of what moves, about the same in each frame and region of one kind of
+feature (2 to 3 % at voxels of 1 mm). That is no noise, and is not left in the targets as if it were.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lacli.base.arrays import FloatArray
+from lacli.contracts.labels import REGIONS
+
+# a known motion tells a true one's shrinkage to about this share of it (docs/methods.md)
+_TOLD = 0.5
+_MOST = 0.15
+# the volume is what the wall moves along its normal, the whole's displacement a mean of the regions': one shrinkage, one error
+_ONE = {"volume": "n", "d_global": "d"}
+
+
+def kind_of(key: str) -> tuple[str, str]:
+    """Kind of a feature and its region ("" for the whole): ("n", "roof")."""
+    for region in REGIONS:
+        if f"_{region}" in key:
+            return key.replace(f"_{region}", "").removesuffix("_mm"), region
+    return ("d_global" if key == "d_global_mm" else key.removesuffix("_ml")), ""
+
+
+def group_of(key: str) -> str:
+    """What has one error of shrinkage with it, as a name."""
+    kind = kind_of(key)[0]
+    return _ONE.get(kind, kind)
+
+
+@dataclass(frozen=True)
+class Shrinkage:
+    """By key (k,): ``share`` of a change that is found too much (negative: too little), and its sd."""
+
+    keys: tuple[str, ...]
+    share: FloatArray
+    sd: FloatArray
+
+    def undone(self, row: Mapping[str, float], ed: Mapping[str, float]) -> dict[str, float]:
+        """Features as they would be without it; ``ed``: those at end-diastole, from which changes count."""
+        share = dict(zip(self.keys, self.share.tolist(), strict=True))
+        return {key: ed[key] + (value - ed[key]) / (1.0 + share.get(key, 0.0)) for key, value in row.items()}
+
+    def covariance(self, keys: Sequence[str], changes: FloatArray) -> FloatArray:
+        """(p, p) of targets of these keys whose changes (p,) were corrected: all that one group's share moves together."""
+        sd = dict(zip(self.keys, self.sd.tolist(), strict=True))
+        moved = np.array([sd.get(key, 0.0) for key in keys]) * changes
+        groups = np.array([group_of(key) for key in keys])
+        return np.where(groups[:, None] == groups[None], np.outer(moved, moved), 0.0)
+
+
+def shrinkage_of(keys: Sequence[str], errors: FloatArray, changes: FloatArray) -> Shrinkage:
+    """From errors and changes (m, k) of features in known motions: by kind, the slope of the errors on the changes.
+
+    Its sd has the slope's own, motions being independent, and half of the slope, since known motions are easier than true ones.
+    """
+    kinds = np.array([kind_of(key)[0] for key in keys])
+    share, sd = np.zeros(len(keys)), np.zeros(len(keys))
+    for kind in set(kinds.tolist()):
+        here = kinds == kind
+        e, v = errors[:, here], changes[:, here]
+        size = float((v**2).sum())
+        if size <= 0.0:
+            continue
+        slope = float((e * v).sum()) / size
+        by_motion = ((e - slope * v) * v).sum(axis=1)
+        kept = float(np.clip(slope, -_MOST, _MOST))
+        share[here] = kept
+        sd[here] = np.sqrt(float((by_motion**2).sum()) / size**2 + (_TOLD * slope) ** 2 + (slope - kept) ** 2)
+    return Shrinkage(tuple(keys), share, sd)
+
+
+def spread(key: str, sd: float, change: FloatArray, stated: Mapping[str, Mapping[str, float]] | None) -> FloatArray:
+    """Standard deviation (in the feature's unit) where it has changed by so much since end-diastole; ``stated``: the shrinkage by
+    kind, as in tracking.json, or None."""
+    part = (stated or {}).get(kind_of(key)[0])
+    return np.hypot(sd, (part["sd"] if part else 0.0) * np.asarray(change, dtype=float))
