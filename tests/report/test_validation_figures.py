@@ -24,7 +24,7 @@ def test_tracked_points_and_simulated_lines_are_the_data(tmp_path: Path, drawn: 
     used = np.zeros(tracked.shape, bool)
     used[2] = True
     found = Validation(
-        keys=keys, times=TIMES, simulated=tracked + 0.5, tracked=tracked, sd=np.full(len(keys), 0.25), used=used, left_out=0
+        keys=keys, times=TIMES, simulated=tracked + 0.5, tracked=tracked, sd=np.full(tracked.shape, 0.25), used=used, left_out=0
     )
     validation_figures.transients(found, tmp_path / "v.png")
     axes = drawn[0].axes
