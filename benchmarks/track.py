@@ -21,9 +21,9 @@ from lacli.anatomy.surface_features import Endocardium
 from lacli.contracts.bundle import load
 from lacli.contracts.features import parse
 from lacli.motion import frames as framing
-from lacli.motion import uncertainty
+from lacli.motion.errors import uncertainty
+from lacli.motion.errors.shrinkage import kind_of
 from lacli.motion.patient import Settings, Tracked, track
-from lacli.motion.shrinkage import kind_of
 from lacli.motion.targets import Covaried, measured
 from lacli.synthetic.cycle import draw_parameters
 from lacli.synthetic.gated import Acquisition

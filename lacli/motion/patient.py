@@ -16,13 +16,14 @@ from lacli.base.arrays import FloatArray
 from lacli.base.errors import UsageError
 from lacli.contracts.bundle import Bundle
 from lacli.motion import frames as framing
-from lacli.motion import tracking, uncertainty
+from lacli.motion import tracking
 from lacli.motion.axes import nodal_axes
+from lacli.motion.errors import uncertainty
+from lacli.motion.errors.uncertainty import ErrorModel, SurfaceError
 from lacli.motion.frames import Source
 from lacli.motion.registration import ENGINES
 from lacli.motion.targets import Course
 from lacli.motion.tracking import Monitor
-from lacli.motion.uncertainty import ErrorModel, SurfaceError
 
 
 @dataclass(frozen=True)

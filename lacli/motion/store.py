@@ -22,9 +22,9 @@ from lacli.contracts.tables.covariance import write_covariance
 from lacli.geometry.subdivision import straight
 from lacli.motion.annulus import annulus_points
 from lacli.motion.axes import nodal_axes
+from lacli.motion.errors.shrinkage import kind_of
 from lacli.motion.patient import Tracked
 from lacli.motion.phases import Phases
-from lacli.motion.shrinkage import kind_of
 from lacli.motion.targets import Covaried
 
 COVARIANCE = "targets_covariance.npz"

@@ -13,9 +13,9 @@ from lacli.base.arrays import FloatArray
 from lacli.base.errors import InputError, UsageError
 from lacli.contracts.features import PUBLISHED, at_time
 from lacli.contracts.targets import Targets
+from lacli.motion.errors.shrinkage import Shrinkage
+from lacli.motion.errors.uncertainty import ErrorModel
 from lacli.motion.phases import Phases, phases_of
-from lacli.motion.shrinkage import Shrinkage
-from lacli.motion.uncertainty import ErrorModel
 
 PUBLISHED_VOLUME_SHARE = 0.05
 # a frame this near to ES, as a share of the cycle, shows ES itself: it would be the same target twice

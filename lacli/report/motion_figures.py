@@ -68,7 +68,7 @@ def transients(folder: Path, picture: Path) -> Path:
         import matplotlib.pyplot as plt
         from scipy.interpolate import CubicSpline
 
-        from lacli.motion.shrinkage import spread
+        from lacli.motion.errors.shrinkage import spread
 
         rows = [p for p in _COMPONENTS if p.format("roof") in frame]
         figure, axes = plt.subplots(len(rows) + 1, 1, figsize=(5.2, 1.7 * (len(rows) + 1)), sharex=True)

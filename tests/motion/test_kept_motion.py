@@ -14,10 +14,10 @@ from shapes import hollow_cube
 from lacli.anatomy.surface_features import Endocardium
 from lacli.base.errors import StorageError
 from lacli.contracts.targets import read_targets
+from lacli.motion.errors.uncertainty import ErrorModel
 from lacli.motion.patient import Tracked
 from lacli.motion.store import COVARIANCE, check_replaceable, write_covaried, write_series
 from lacli.motion.targets import Course, measured
-from lacli.motion.uncertainty import ErrorModel
 
 TIMES = np.array([0.0, 0.2, 0.4, 0.6, 0.8])
 STRETCH = 1.0 + 0.1 * np.sin(np.pi * TIMES / 0.8)

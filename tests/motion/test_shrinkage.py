@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from lacli.anatomy.surface_features import Endocardium
-from lacli.motion.shrinkage import Shrinkage, group_of, shrinkage_of, spread
+from lacli.motion.errors.shrinkage import Shrinkage, group_of, shrinkage_of, spread
+from lacli.motion.errors.uncertainty import error_model
 from lacli.motion.targets import Course, measured, published
-from lacli.motion.uncertainty import error_model
 from lacli.synthetic.atrium import synthesize
 
 KEYS = ("volume_ml", "d_global_mm", "n_roof_mm", "n_septum_mm", "a_roof_mm")

@@ -21,7 +21,7 @@ from lacli.contracts.motion import load_motion
 from lacli.contracts.targets import Targets, read_targets
 from lacli.inference.sampling.likelihood import gaussian_log_likelihood
 from lacli.motion import given as given_motion
-from lacli.motion import uncertainty
+from lacli.motion.errors import uncertainty
 from lacli.motion.field import Field, write_field
 from lacli.motion.patient import from_given, smoothed
 from lacli.motion.phases import phases_of

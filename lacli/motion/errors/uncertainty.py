@@ -18,8 +18,8 @@ from lacli.anatomy.surface_features import Endocardium
 from lacli.base.arrays import FloatArray
 from lacli.contracts.labels import REGIONS
 from lacli.geometry.quadrature import at_quadrature
+from lacli.motion.errors.shrinkage import Shrinkage, kind_of, shrinkage_of
 from lacli.motion.field import Field, pull
-from lacli.motion.shrinkage import Shrinkage, kind_of, shrinkage_of
 from lacli.motion.tracking import Pair
 
 SEED = 20260420
