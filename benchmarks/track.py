@@ -47,7 +47,7 @@ def patient(folder: Path, seed: int, arguments: argparse.Namespace) -> dict[str,
     times, _ = framing.cycle_times(sources, None)
     used = slice(None, arguments.used_frames)
     sources, times, positions = sources[used], times[used], positions[used]
-    settings = Settings(engine=arguments.engine, known_motions=arguments.known_motions)
+    settings = Settings(arguments.engine, arguments.work_mm, known_motions=arguments.known_motions)
     start, wall = time.process_time(), time.monotonic()
     tracked = track(bundle, sources, times, settings, folder / f"registration-{arguments.engine}", lambda *_: None)
     found = measured(tracked.course, tracked.model)
@@ -149,6 +149,7 @@ def main() -> None:
     parser.add_argument("--volume-ml", type=float, help="of every atrium; default: each seed's own")
     parser.add_argument("--order", type=int, default=2)
     parser.add_argument("--engine", default="greedy")
+    parser.add_argument("--work-mm", type=float, default=Settings.work_mm, help="voxels that are registered")
     parser.add_argument("--used-frames", type=int, help="only the first so many of each patient's")
     parser.add_argument("--known-motions", type=int, default=Settings.known_motions)
     parser.add_argument("--there", action="store_true", help="make no patient")
