@@ -10,13 +10,28 @@ import pandas as pd
 from lacli.base.documents import read_json
 from lacli.base.errors import InputError
 from lacli.base.version import __version__
+from lacli.cohort.analysis.influences import over_patients
 from lacli.cohort.analysis.journal import MODEL_HEAD, PAIR_HEAD, SLOPE_HEAD, model_rows, pair_rows, slope_rows
 from lacli.cohort.analysis.observations import Observations, read_observations
 from lacli.cohort.analysis.statistics import Statistics, statistics
-from lacli.cohort.analysis.summary import ANATOMIES, CONTRASTS, FEATURES, MODELS, PATIENTS, REGIONS, SUMMARY, WAVES
+from lacli.cohort.analysis.summary import (
+    ANATOMIES,
+    CONTRASTS,
+    COURSES,
+    FEATURES,
+    FRAMES,
+    INFLUENCES,
+    MODELS,
+    NUMERICS,
+    OUTPUTS,
+    PATIENTS,
+    REGIONS,
+    SUMMARY,
+    WAVES,
+)
 from lacli.cohort.gallery import atria, with_fibrillation
 from lacli.contracts.tables.file import read_frame
-from lacli.report.cohort_figures import gallery_figure, regions_figure, scatter_figure
+from lacli.report.cohort_figures import courses_figure, gallery_figure, influence_figure, regions_figure, scatter_figure
 from lacli.report.page.document import Figure, Page, Section, Table, number, picture
 from lacli.report.page.run import closing
 
@@ -35,7 +50,8 @@ def study_page(study: Path, pictures: Path) -> Page:
     sections = [_patients(study, summary["notes"])]
     if (study / MODELS).is_file():
         sections.append(_models(study, summary["models"]))
-    sections += [section for section in (_anatomies(study, pictures), _fits(study)) if section is not None]
+    parts = (_anatomies(study, pictures), _influences(study, pictures), _fits(study, pictures))
+    sections += [section for section in parts if section is not None]
     sections += _answers(study, pictures)
     sections.append(closing(_METHODS, [], {"versions": {"lacli": __version__}}))
     lead = f"{summary['done']} of {summary['patients']} participants done."
@@ -80,12 +96,51 @@ def _table(file: Path, title: str) -> Table | None:
     return Table(title, tuple(str(name).replace("_", " ") for name in frame.columns), _cells(frame))
 
 
-def _fits(study: Path) -> Section | None:
-    """Features at the most probable point and waves, over the patients."""
-    features = _table(study / FEATURES, "Simulated less target at the most probable point, by feature over the patients")
-    waves = _table(study / WAVES, "Waves of history matching, by patient")
-    tables = tuple(table for table in (features, waves) if table is not None)
-    return Section("fits", "Fits", tables=tables) if tables else None
+def _fits(study: Path, pictures: Path) -> Section | None:
+    """Features at the most probable point, frame by frame, emulators, waves and numerics, over the patients."""
+    found = (
+        _table(study / FEATURES, "Simulated less target at the most probable point, by feature over the patients"),
+        _table(study / FRAMES, "The same by patient and time"),
+        _table(study / OUTPUTS, "Emulators of the last wave, by output over the patients"),
+        _table(study / WAVES, "Waves of history matching, by patient"),
+        _table(study / NUMERICS, "The discretisation's part of the errors, by feature over the patients"),
+    )
+    figures: tuple[Figure, ...] = ()
+    if (study / COURSES).is_file():
+        frame = read_frame(study / COURSES)
+        if frame["time"].nunique() > 1:
+            files = _files(pictures, "courses")
+            courses_figure(frame, files)
+            words = "Over the cycle, a column a patient: targets with 2 sd, and lines through the values at the most probable point."
+            figures = (picture(files[0], words),)
+    tables = tuple(table for table in found if table is not None)
+    return Section("fits", "Fits", tables=tables, figures=figures) if tables or figures else None
+
+
+def _influences(study: Path, pictures: Path) -> Section | None:
+    """Which inputs make the features vary, mean over the patients."""
+    if not (study / INFLUENCES).is_file():
+        return None
+    rows = [{str(k): v for k, v in row.items()} for row in read_frame(study / INFLUENCES).to_dict("records")]
+    inputs, features, shares = over_patients(rows)
+    if not features:
+        return None
+    # features in frames would make the map unreadable; all are in the table beside the study
+    shown = [i for i, name in enumerate(features) if "@" not in name] or list(range(len(features)))
+    names, part = [features[i] for i in shown], shares[:, shown]
+    files = _files(pictures, "influences")
+    influence_figure(inputs, names, part, files)
+    mean = part.mean(axis=1)
+    ranking = sorted(zip(inputs, mean.tolist(), part.max(axis=1).tolist(), strict=True), key=lambda row: -row[1])
+    cells = tuple((name, number(of_all, 2), number(most, 2)) for name, of_all, most in ranking)
+    table = Table("Ranking", ("input", "mean share", "largest share"), cells)
+    count = len({row["participant_id"] for row in rows})
+    said = (
+        f"To first order about each patient's most probable point, under the prior; mean over {count} patients."
+        " In colour: the inputs that together make 90 % of a feature's variance.",
+    )
+    figure = picture(files[0], "Share of each feature's variance by input (%, where 5 or more).")
+    return Section("sensitivity", "Sensitivity", text=said, tables=(table,), figures=(figure,))
 
 
 def _anatomies(study: Path, pictures: Path) -> Section | None:

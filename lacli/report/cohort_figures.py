@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
-from lacli.base.arrays import FloatArray
+from lacli.base.arrays import BoolArray, FloatArray
 from lacli.base.files import replacing
 from lacli.contracts.labels import REGION_COLOURS
 from lacli.report.style import paper
@@ -48,6 +49,65 @@ def scatter_figure(
             axis.errorbar(x[:, j], y[:, j], xerr=bars, fmt="o", color=colour, markersize=4, elinewidth=0.6, label=region)
         axis.set(xlabel=names[0], ylabel=names[1])
         axis.legend(ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.2), fontsize=8)
+        save_all(figure, files)
+
+
+def influence_figure(inputs: Sequence[str], outputs: Sequence[str], shares: FloatArray, files: Sequence[Path]) -> None:
+    """Heat map of the share (inputs, outputs) of each output's variance that an input makes; the inputs that together make 90 %
+    of an output's are in colour, the others grey, as the published study has it."""
+    with paper():
+        import matplotlib.pyplot as plt
+
+        counted = ninety(shares)
+        height, width = 0.26 * len(inputs) + 1.3, min(7.2, 0.3 * len(outputs) + 1.9)
+        figure, axis = plt.subplots(figsize=(width, height))
+        axis.imshow(np.where(counted, np.nan, shares), cmap="Greys", vmin=0.0, vmax=1.0, aspect="auto")
+        image = axis.imshow(np.where(counted, shares, np.nan), cmap="viridis_r", vmin=0.0, vmax=1.0, aspect="auto")
+        for i, j in np.argwhere(shares >= 0.05):
+            axis.text(j, i, f"{100 * shares[i, j]:.0f}", ha="center", va="center", fontsize=5,
+                      color="white" if counted[i, j] and shares[i, j] > 0.5 else "black")  # fmt: skip
+        axis.set_xticks(range(len(outputs)), outputs, rotation=90, fontsize=6)
+        axis.set_yticks(range(len(inputs)), inputs, fontsize=7)
+        figure.colorbar(image, ax=axis, label="share of the variance")
+        save_all(figure, files)
+
+
+def ninety(shares: FloatArray) -> BoolArray:
+    """(inputs, outputs): whether an input is among the largest that together make 90 % of an output's variance."""
+    order = np.argsort(-shares, axis=0, kind="stable")
+    ranked = np.take_along_axis(shares, order, axis=0)
+    before = np.cumsum(ranked, axis=0) - ranked
+    counted = np.zeros(shares.shape, dtype=bool)
+    np.put_along_axis(counted, order, (before < 0.9) & (ranked > 0), axis=0)
+    return counted
+
+
+def courses_figure(frame: pd.DataFrame, files: Sequence[Path]) -> None:
+    """A column a patient: targets at their times with 2 sd, and lines through the values at the most probable point; volume
+    above, displacements of the regions below. frame: participant_id, feature, time, target, sd, at_map."""
+    with paper():
+        import matplotlib.pyplot as plt
+
+        people = list(dict.fromkeys(frame["participant_id"]))
+        lengths = [f"d_{region}_mm" for region in REGION_COLOURS if (frame["feature"] == f"d_{region}_mm").any()]
+        figure, axes = plt.subplots(2, len(people), figsize=(max(3.0, 1.5 * len(people)), 3.4), sharex=True, sharey="row",
+                                    squeeze=False)  # fmt: skip
+        for column, person in zip(axes.T, people, strict=True):
+            column[0].set_title(str(person), fontsize=7)
+            for axis, keys in ((column[0], ["volume_ml"]), (column[1], lengths)):
+                for key in keys:
+                    mine = frame[(frame["participant_id"] == person) & (frame["feature"] == key)].sort_values("time")
+                    region = key.removeprefix("d_").removesuffix("_mm")
+                    colour = REGION_COLOURS.get(region, "black")
+                    axis.errorbar(mine["time"], mine["target"], yerr=2.0 * mine["sd"], fmt="o", color=colour, markersize=2.5,
+                                  elinewidth=0.6)  # fmt: skip
+                    axis.plot(mine["time"], mine["at_map"], "-", color=colour, linewidth=1.0, label=region if lengths else None)
+        axes[0, 0].set_ylabel("volume (mL)")
+        axes[1, 0].set_ylabel("displacement (mm)")
+        for axis in axes[1]:
+            axis.set_xlabel("time (RR)", fontsize=7)
+        handles, labels = axes[1, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=6)
         save_all(figure, files)
 
 

@@ -12,18 +12,22 @@ import numpy as np
 from lacli.base.documents import read_json
 from lacli.base.errors import AnatomyError, InputError
 from lacli.cohort.comparison import STRONG
+from lacli.contracts.features import parse
 
 
 @dataclass(frozen=True)
 class Anatomy:
     """What a patient's bundle tells: cavity at end-diastole (mL), mean thickness by region along Laplace's lines and by the
-    eikonal (mm), the median over the regions of their difference (mm); where the bundle is."""
+    eikonal (mm), the median over the regions of their difference (mm); where the bundle is; end-systole's time in its motion
+    (fraction of RR), None where it has none.
+    """
 
     cavity_ml: float
     laplace_mm: Mapping[str, float]
     eikonal_mm: Mapping[str, float]
     median_difference_mm: float
     bundle: Path
+    es_time: float | None = None
 
 
 def read_anatomy(bundle: Path, patient: str) -> Anatomy | None:
@@ -31,6 +35,7 @@ def read_anatomy(bundle: Path, patient: str) -> Anatomy | None:
     from lacli.anatomy.surface_features import cavity_volume_ml
     from lacli.anatomy.wall.thickness import of_bundle
     from lacli.contracts.bundle import load
+    from lacli.contracts.motion import FILE, load_motion
 
     if not bundle.is_dir():
         return None
@@ -42,7 +47,7 @@ def read_anatomy(bundle: Path, patient: str) -> Anatomy | None:
     both = found.per_region
     return Anatomy(
         cavity_volume_ml(it, it.points), {n: v for n, (_, v) in both.items()}, {n: v for n, (v, _) in both.items()},
-        found.median_difference_mm, bundle,
+        found.median_difference_mm, bundle, load_motion(bundle).es_time if (bundle / FILE).is_file() else None,
     )  # fmt: skip
 
 
@@ -71,6 +76,72 @@ def _value(row: Mapping[str, Any]) -> float | None:
     value = row.get("simulated")
     value = row.get("emulated") if value is None else value
     return None if value is None else float(value)
+
+
+def courses(patient: str, result: Mapping[str, Any], es_time: float | None) -> list[dict[str, Any]]:
+    """A row a target that is a feature at a time (``es_time`` for those of end-systole; left out where that is not known): the
+    feature, its time (fraction of RR), target, sd of its measurement, and the value at the most probable point."""
+    rows = []
+    for fit in result["fit"]:
+        try:
+            feature, moment = parse(str(fit["feature"]))
+        except ValueError:
+            continue  # a target of the user's own
+        time, value = es_time if moment is None else moment, _value(fit)
+        if time is None or value is None:
+            continue
+        key = "volume_ml" if feature.key == "esv_ml" else feature.key
+        sd = fit.get("own_sd") or fit["sd"]
+        rows.append({"participant_id": patient, "feature": key, "time": float(time), "target": float(fit["target"]),
+                     "sd": float(sd), "at_map": value})  # fmt: skip
+    return rows
+
+
+def over_frames(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """By patient and time: root mean square of value at the most probable point less target, over displacements (mm) and over all
+    in their sds."""
+    found = []
+    for patient, time in dict.fromkeys((row["participant_id"], row["time"]) for row in sorted(rows, key=lambda r: r["time"])):
+        mine = [row for row in rows if (row["participant_id"], row["time"]) == (patient, time)]
+        off = np.array([row["at_map"] - row["target"] for row in mine])
+        length = np.array([str(row["feature"]).endswith("_mm") for row in mine])
+        found.append({
+            "participant_id": patient, "time": time, "targets": len(mine),
+            "rmse_mm": float(np.sqrt((off[length] ** 2).mean())) if length.any() else None,
+            "rmse_in_sd": float(np.sqrt(((off / [row["sd"] for row in mine]) ** 2).mean())),
+        })  # fmt: skip
+    return sorted(found, key=lambda row: (str(row["participant_id"]), row["time"]))
+
+
+def over_numerics(results: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """By feature over the patients: the discretisation's part of its error, median and largest, and that over the measurement's
+    sd; of features whose two parts are told."""
+    rows: list[dict[str, Any]] = []
+    fits = [row for result in results.values() for row in result["fit"] if row.get("own_sd")]
+    for name in dict.fromkeys(str(row["feature"]) for row in fits):
+        pairs = np.array([(float(row["sd"]), float(row["own_sd"])) for row in fits if row["feature"] == name])
+        part = np.sqrt(np.maximum(pairs[:, 0] ** 2 - pairs[:, 1] ** 2, 0.0))
+        rows.append({
+            "feature": name, "patients": len(pairs), "discretisation_median": float(np.median(part)),
+            "discretisation_largest": float(part.max()), "over_measurement": float(np.median(part / pairs[:, 1])),
+        })  # fmt: skip
+    return rows
+
+
+def over_outputs(results: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """By output over the patients: R2 of the last wave's emulators, mean and least, and whose; for calibrations by waves."""
+    last: dict[str, dict[str, float]] = {}
+    for patient, result in results.items():
+        waves = [wave for wave in result.get("waves") or () if wave.get("r2")]
+        if waves:
+            last[patient] = {str(k): float(v) for k, v in waves[-1]["r2"].items() if v is not None}
+    rows = []
+    for name in dict.fromkeys(name for r2 in last.values() for name in r2):
+        told = {patient: r2[name] for patient, r2 in last.items() if name in r2}
+        worst = min(told, key=lambda patient: told[patient])
+        rows.append({"output": name, "patients": len(told), "r2_mean": float(np.mean(list(told.values()))),
+                     "r2_least": told[worst], "of": worst})  # fmt: skip
+    return rows
 
 
 def over_waves(results: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:

@@ -11,13 +11,27 @@ import pandas as pd
 
 from lacli.base.documents import read_json
 from lacli.base.files import replacing, write_json
-from lacli.cohort.analysis.fits import Anatomy, over_contrasts, over_features, over_waves, read_anatomy, read_contrasts
+from lacli.cohort.analysis.fits import (
+    Anatomy,
+    courses,
+    over_contrasts,
+    over_features,
+    over_frames,
+    over_numerics,
+    over_outputs,
+    over_waves,
+    read_anatomy,
+    read_contrasts,
+)
+from lacli.cohort.analysis.influences import influences
 from lacli.cohort.participants import Participant
 from lacli.cohort.study import Outcome
 from lacli.contracts.labels import BODY_REGIONS
 
 PATIENTS, REGIONS, DRAWS, MODELS, SUMMARY = "patients.csv", "regions.csv", "draws.csv", "models.csv", "summary.json"
 FEATURES, WAVES, CONTRASTS, ANATOMIES = "features.csv", "waves.csv", "contrasts.csv", "anatomies.csv"
+COURSES, FRAMES, NUMERICS = "courses.csv", "frames.csv", "numerics.csv"
+OUTPUTS, INFLUENCES = "emulators.csv", "influences.csv"
 _DRAWS = 200
 
 
@@ -27,6 +41,8 @@ def write_summary(study: Path, participants: Sequence[Participant], outcomes: Se
     notes: list[str] = []
     regions, draws, models = [], [], []
     results, contrasts, anatomies = {}, {}, []
+    moved: list[dict[str, Any]] = []
+    made: list[dict[str, Any]] = []
     for patient in participants:
         if patient.identifier not in done:
             continue
@@ -37,6 +53,8 @@ def write_summary(study: Path, participants: Sequence[Participant], outcomes: Se
         fat = _fat(folder)
         if anatomy is not None:
             anatomies.append(_of_anatomy(patient, anatomy, fat, study))
+        moved += courses(patient.identifier, result, None if anatomy is None else anatomy.es_time)
+        made += influences(patient.identifier, folder / "calibration", result)
         regions += _regions(patient, result, {} if anatomy is None else anatomy.laplace_mm, fat.get("standard", {}))
         draws += _draws(patient, folder)
         for fit in read_json(folder / "comparison.json")["fits"]:
@@ -61,6 +79,11 @@ def write_summary(study: Path, participants: Sequence[Participant], outcomes: Se
         (WAVES, pd.DataFrame(over_waves(results))),
         (CONTRASTS, pd.DataFrame(over_contrasts(contrasts))),
         (ANATOMIES, pd.DataFrame(anatomies)),
+        (COURSES, pd.DataFrame(moved)),
+        (FRAMES, pd.DataFrame(over_frames(moved))),
+        (NUMERICS, pd.DataFrame(over_numerics(results))),
+        (OUTPUTS, pd.DataFrame(over_outputs(results))),
+        (INFLUENCES, pd.DataFrame(made)),
     ):
         if frame.empty:
             (study / name).unlink(missing_ok=True)  # an earlier call's would show another result
