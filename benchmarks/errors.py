@@ -243,7 +243,7 @@ def main() -> None:
         print_table("Another anatomy", head, held_against(choice.folder, choice.bundle, choice.from_seed))
         return
     if choice.times:
-        rows = collect(choice.folder, seeds, ((1, 6.0), (1, 4.0), (2, 4.0)), "times.jsonl", TIMES)
+        rows = collect(choice.folder, seeds, ((1, 8.0), (1, 6.0), (1, 4.0), (2, 6.0), (2, 4.0)), "times.jsonl", TIMES)
         print(f"errors of a feature at two times: correlation {together(choice.folder, rows, 4.0):.2f} (taken: 0.9)")
         return
     rows = collect(choice.folder, seeds, (*CHOICES, (2, choice.finest_mm)), "runs.jsonl")

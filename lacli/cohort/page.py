@@ -111,7 +111,7 @@ def _fits(study: Path, pictures: Path) -> Section | None:
         if frame["time"].nunique() > 1:
             files = _files(pictures, "courses")
             courses_figure(frame, files)
-            words = "Over the cycle, a column a patient: targets with 2 sd, and lines through the values at the most probable point."
+            words = "Over the cycle, a column a patient: targets with 2 sd, lines through the values at the most probable point."
             figures = (picture(files[0], words),)
     tables = tuple(table for table in found if table is not None)
     return Section("fits", "Fits", tables=tables, figures=figures) if tables or figures else None
