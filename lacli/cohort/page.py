@@ -18,11 +18,11 @@ from lacli.cohort.analysis.summary import (
     ANATOMIES,
     CONTRASTS,
     COURSES,
+    DISCRETISATION,
     FEATURES,
     FRAMES,
     INFLUENCES,
     MODELS,
-    NUMERICS,
     OUTPUTS,
     PATIENTS,
     REGIONS,
@@ -103,7 +103,7 @@ def _fits(study: Path, pictures: Path) -> Section | None:
         _table(study / FRAMES, "The same by patient and time"),
         _table(study / OUTPUTS, "Emulators of the last wave, by output over the patients"),
         _table(study / WAVES, "Waves of history matching, by patient"),
-        _table(study / NUMERICS, "The discretisation's part of the errors, by feature over the patients"),
+        _table(study / DISCRETISATION, "The discretisation's part of the errors, by feature over the patients"),
     )
     figures: tuple[Figure, ...] = ()
     if (study / COURSES).is_file():

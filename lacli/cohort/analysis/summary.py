@@ -30,7 +30,7 @@ from lacli.contracts.labels import BODY_REGIONS
 
 PATIENTS, REGIONS, DRAWS, MODELS, SUMMARY = "patients.csv", "regions.csv", "draws.csv", "models.csv", "summary.json"
 FEATURES, WAVES, CONTRASTS, ANATOMIES = "features.csv", "waves.csv", "contrasts.csv", "anatomies.csv"
-COURSES, FRAMES, NUMERICS = "courses.csv", "frames.csv", "numerics.csv"
+COURSES, FRAMES, DISCRETISATION = "courses.csv", "frames.csv", "discretisation.csv"
 OUTPUTS, INFLUENCES = "emulators.csv", "influences.csv"
 _DRAWS = 200
 
@@ -81,7 +81,7 @@ def write_summary(study: Path, participants: Sequence[Participant], outcomes: Se
         (ANATOMIES, pd.DataFrame(anatomies)),
         (COURSES, pd.DataFrame(moved)),
         (FRAMES, pd.DataFrame(over_frames(moved))),
-        (NUMERICS, pd.DataFrame(over_numerics(results))),
+        (DISCRETISATION, pd.DataFrame(over_numerics(results))),
         (OUTPUTS, pd.DataFrame(over_outputs(results))),
         (INFLUENCES, pd.DataFrame(made)),
     ):
