@@ -94,7 +94,7 @@ def _opened(points: FloatArray, triangles: IntArray, notes: list[str]) -> IntArr
     """
     loops = paths.loops(paths.open_edges(triangles))
     caps = flat_caps(points, triangles) if len(loops) < OPENINGS_LEAST else []
-    if len(caps) + len(loops) < OPENINGS_LEAST:
+    if not caps or len(caps) + len(loops) < OPENINGS_LEAST:
         return triangles
     notes.append(f"{len(caps)} flat caps were taken for closed openings")
     return triangles[~np.any(caps, axis=0)]

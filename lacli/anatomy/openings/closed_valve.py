@@ -2,7 +2,8 @@
 
 Where the valve is decides left and right, so no single guess of it may. The atrium's body is sampled; at each place the veins
 are named as if the valve were there, and the readings of all places together give the names and the confidence in them. The
-place itself stays a guess: over ten public atria it scatters by 6 - 9 mm about its mean in the veins' own frame.
+place itself stays a guess: over ten public atria it scatters by 6 - 9 mm about its mean in the veins' own frame, and the body
+is as flat elsewhere as where a valve was closed (benchmarks/closed_valve.py).
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ PLACE = ((12.7, -34.3, -8.1), (5.6, 8.3, 9.3))
 FLAT_WITHIN = 4.0  # nats: a flat patch at a place that likely is the valve
 
 
-def places(surface: Surface, vessels: Sequence[Candidate]) -> list[Candidate]:
-    """Where the valve may be: points spread over the body, clear of the vessels, farthest apart first."""
+def places(surface: Surface, vessels: Sequence[Candidate], most: int = PLACES, apart_mm: float = APART_MM) -> list[Candidate]:
+    """Where the valve may be: points spread over the body, clear of the vessels, farthest apart first, ``most`` at most."""
     points = surface.points
     free = np.ones(len(points), dtype=bool)
     for vessel in vessels:
@@ -43,9 +44,9 @@ def places(surface: Surface, vessels: Sequence[Candidate]) -> list[Candidate]:
         return []
     picked = [int(choice[np.argmax(np.linalg.norm(points[choice] - points.mean(axis=0), axis=1))])]
     gap = np.full(len(choice), np.inf)
-    while len(picked) < PLACES:
+    while len(picked) < most:
         gap = np.minimum(gap, np.linalg.norm(points[choice] - points[picked[-1]], axis=1))
-        if gap.max() < APART_MM:
+        if gap.max() < apart_mm:
             break
         picked.append(int(choice[gap.argmax()]))
     normals = np.zeros_like(points)
@@ -81,9 +82,9 @@ def name(
     least = min(cost for cost, _, _ in found)
     weight = {key: sum(float(np.exp(least - cost)) for cost, _, _ in rows) for key, rows in groups.items()}
     best, *others = sorted(groups, key=lambda key: -weight[key])
-    chosen = min(groups[best], key=lambda row: row[0] + _unlikely(row[2], vessels, tried[row[1]]))
+    chosen = min(groups[best], key=lambda row: row[0] + unlikely(row[2], vessels, tried[row[1]]))
     for row in groups[best]:
-        if row[1] == 0 and _unlikely(row[2], vessels, flat) < FLAT_WITHIN:
+        if row[1] == 0 and unlikely(row[2], vessels, flat) < FLAT_WITHIN:
             chosen = row
     second = min(groups[others[0]], key=lambda row: row[0])[2] if others else None
     return naming.Naming(chosen[2], second, weight[best] / sum(weight.values())), tried[chosen[1]]
@@ -93,7 +94,7 @@ def _key(reading: naming.Reading) -> object:
     return (tuple(sorted((n, i) for n, i in reading.names.items() if n in naming.VEINS)), reading.trunk, reading.missing)
 
 
-def _unlikely(reading: naming.Reading, vessels: Sequence[Candidate], valve: Candidate) -> float:
+def unlikely(reading: naming.Reading, vessels: Sequence[Candidate], valve: Candidate) -> float:
     """Nats by which the valve's place is off its mean in the frame of the veins that the reading names."""
     if reading.missing or reading.trunk is not None:
         return 0.0

@@ -13,7 +13,7 @@ from lacli.anatomy.openings import branches, closed_valve, naming, ostium, refus
 from lacli.anatomy.openings.branches import Branch, Skeleton
 from lacli.anatomy.openings.candidate import BRANCH, CAP, CONTACT, GIVEN, GUESS, PATCH, RIM, Candidate, halves, place
 from lacli.anatomy.openings.landmarks import Axes, Landmarks, Opening, override
-from lacli.anatomy.openings.mitral import mitral_from_shape
+from lacli.anatomy.openings.mitral import SHARP_DEG, border_turn_deg, mitral_from_shape
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import AnatomyError
 from lacli.contracts.labels import OPENINGS
@@ -68,11 +68,11 @@ def find(
     skeleton = branches.find(field)
     cast = ray_caster(field)
     everything, branch_of = gather(surface, at_ostia(seen, skeleton, cast, ring_mm), skeleton, given)
-    flat = False  # whether the valve is a flat patch at a likely place
+    flat = False  # whether the valve is a flat patch with a sharp border at a likely place: closed by a plane
     if everything and everything[-1].source == GUESS:
         patch = everything.pop()
         named, valve = closed_valve.name(surface, everything, patch, axes)
-        flat = valve.centre is patch.centre and not patch.said
+        flat = valve.centre is patch.centre and not patch.said and border_turn_deg(surface, patch) >= SHARP_DEG
         everything.append(valve)
     else:
         named = naming.assign(everything, axes)
@@ -101,8 +101,11 @@ def find(
             f"{place(valve.centre)}. Give [mv] in landmarks.toml (centre, normal out of the atrium, mm), or the ventricle's "
             f"label with --lv, or take that place with --accept-low-confidence. {refusals.veins(everything, named, certain)}"
         )
-        if flat and certain and axes is not None:
-            notes.append(f"the mitral valve is closed in the file: taken as its flat patch ({valve.words()}); look at it")
+        if flat and certain:
+            notes.append(
+                f"the mitral valve is closed in the file: taken as its flat patch ({valve.words()}, confidence {GUESSED:g}), "
+                "whose border is sharp as that of a cut; look at it"
+            )
         else:
             named = replace(named, confidence=min(named.confidence, GUESSED))
     if named.best.cost > naming.MOST_COST:
@@ -212,7 +215,7 @@ def gather(
         widest = max((c.diameter_mm for c in everything if c.source in (RIM, CAP)), default=0.0)
         veins = sorted((c.diameter_mm for c in everything), reverse=True)[1:]
         if widest < 1.2 * max(veins, default=0.0) or widest < 15.0:
-            everything.append(replace(_of_opening(mitral_from_shape(surface, skeleton)), source=GUESS))
+            everything.append(replace(_of_opening(mitral_from_shape(surface, skeleton, everything)), source=GUESS))
     return everything, branch_of
 
 

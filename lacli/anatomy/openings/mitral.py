@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
@@ -17,6 +19,12 @@ from lacli.geometry import curves as paths
 from lacli.geometry.surface import Surface
 
 LEAST_CUT_MM = 0.5
+UNDER_MM = 0.7  # a flat patch is cut that far under it
+FLAT_COSINE, FLAT_MM = 0.97, 0.6  # of a flat patch: its triangles' normals with its own, their distance from its plane
+# Half of a flat patch's border turns by that much where a valve was closed by a plane (52 - 77 degrees, domes up to 1.5 mm
+# included, all of them within 6 mm of the valve), by 20 - 48 where the body happens to be flat (benchmarks/closed_valve.py).
+SHARP_DEG = 50.0
+BEYOND_MM = (2.5, 4.5)  # of the patch, where the surface is looked at for that
 
 
 def lv_contact(labels: Image, lv: int, surface: Surface) -> FloatArray | None:
@@ -92,27 +100,46 @@ def of_contact(surface: Surface, contact: FloatArray) -> Candidate:
     return Candidate(found.centre, found.normal, area, CONTACT, half, tip=found.beyond)
 
 
-def mitral_from_shape(surface: Surface, skeleton: branches.Skeleton) -> Opening:
-    """Without a ventricle: the largest flat patch of the surface, else the side opposite the veins."""
+def mitral_from_shape(surface: Surface, skeleton: branches.Skeleton, vessels: Sequence[Candidate]) -> Opening:
+    """Without a ventricle: the largest flat patch of the surface, else the side opposite the ``vessels``."""
     normals, area = surface.normals(), surface.areas()
     middle = surface.points[surface.triangles].mean(axis=1)
-    ostia = np.array([b.centre for b in skeleton.branches]) if skeleton.branches else skeleton.middle[None]
+    ostia = np.array([v.centre for v in vessels]) if vessels else skeleton.middle[None]
     down = skeleton.middle - ostia.mean(axis=0)
     down /= max(float(np.linalg.norm(down)), 1e-9)
     best: tuple[float, FloatArray, FloatArray] | None = None
     facing = np.flatnonzero(normals @ down > 0.2)
     for seed in facing[:: max(1, len(facing) // 150)]:
         n, c = normals[seed], middle[seed]
-        flat = (normals @ n > 0.97) & (np.abs((middle - c) @ n) < 0.6)
+        flat = (normals @ n > FLAT_COSINE) & (np.abs((middle - c) @ n) < FLAT_MM)
         size = float(area[flat].sum())
         if best is None or size > best[0]:
             best = (size, n, np.average(middle[flat], axis=0, weights=area[flat]))
     if best is not None and best[0] > 350.0:
         size, normal, centre = best
         top = ((middle - centre) @ normal)[np.linalg.norm(middle - centre, axis=1) < np.sqrt(size)].max()
-        centre = centre + (min(float(top), 0.0) - 0.7) * normal
+        centre = centre + (min(float(top), 0.0) - UNDER_MM) * normal
         return Opening("mv", centre, normal, centre + 2.0 * normal, float(2 * np.sqrt(size / np.pi)), 0.6, "largest flat patch")
     reach = float(((surface.points - skeleton.middle) @ down).max())
     centre = skeleton.middle + 0.75 * reach * down
     beyond = surface.points[int(np.argmax((surface.points - skeleton.middle) @ down))]
     return Opening("mv", centre, down, beyond, 30.0, 0.2, "opposite the veins")
+
+
+def border_turn_deg(surface: Surface, patch: Candidate, sectors: int = 12) -> float:
+    """By how much the surface turns just beyond the flat patch of ``mitral_from_shape``: median over the directions, degrees."""
+    normal, middle = patch.direction, surface.points[surface.triangles].mean(axis=1)
+    facing = surface.normals() @ normal
+    step = middle - patch.centre
+    height = step @ normal
+    beside = step - height[:, None] * normal
+    flat = (facing > FLAT_COSINE) & (np.abs(height - UNDER_MM) < FLAT_MM) & (np.linalg.norm(beside, axis=1) < patch.diameter_mm)
+    if not flat.any():
+        return 0.0
+    gap, _ = cKDTree(middle[flat]).query(middle, distance_upper_bound=BEYOND_MM[1])
+    band = (gap > BEYOND_MM[0]) & (gap < BEYOND_MM[1])
+    one = across(normal)
+    angle = np.arctan2(beside[band] @ np.cross(normal, one), beside[band] @ one)
+    sector = np.minimum((angle + np.pi) / (2 * np.pi) * sectors, sectors - 1).astype(int)
+    turn = np.degrees(np.arccos(np.clip(facing[band], -1.0, 1.0)))
+    return float(np.median([np.median(turn[sector == k]) if (sector == k).any() else 0.0 for k in range(sectors)]))

@@ -7,10 +7,19 @@ import pytest
 from shapes import HEIGHT, RADIUS, RIM, cut_ball, icosphere
 
 from lacli.anatomy.inputs.image import Image
-from lacli.anatomy.openings.branches import Branch, Skeleton
-from lacli.anatomy.openings.candidate import CONTACT
-from lacli.anatomy.openings.mitral import lv_contact, mitral_from_contact, mitral_from_shape, of_contact
+from lacli.anatomy.openings.branches import Skeleton
+from lacli.anatomy.openings.candidate import CONTACT, GUESS, Candidate
+from lacli.anatomy.openings.candidate import RIM as RIM_SEEN
+from lacli.anatomy.openings.mitral import (
+    SHARP_DEG,
+    border_turn_deg,
+    lv_contact,
+    mitral_from_contact,
+    mitral_from_shape,
+    of_contact,
+)
 from lacli.base.errors import AnatomyError
+from lacli.geometry.surface import Surface
 
 UP = np.array([0.0, 0, 1])
 
@@ -24,9 +33,11 @@ def labels(low: float, value: int = 3) -> Image:
     )
 
 
-def branch(tip: np.ndarray) -> Branch:
-    line = np.linspace(0.6, 1, 8)[:, None] * tip
-    return Branch(line, np.full(8, 80.0), np.arange(8.0), 0, tip, 8.0)
+def vein(x: float, y: float) -> Candidate:
+    return Candidate(np.array([x, y, -15.0]), -UP, 80.0, RIM_SEEN, np.array([5.0, 0, 0]))
+
+
+VEINS = [vein(x, y) for x in (-9.0, 9.0) for y in (-9.0, 9.0)]
 
 
 def test_the_patch_that_faces_the_ventricle_is_the_valve() -> None:
@@ -53,11 +64,28 @@ def test_a_ventricle_that_is_far_or_not_there() -> None:
 
 
 def test_without_a_ventricle_a_flat_patch_is_taken_and_said_to_be_no_more_than_likely() -> None:
-    veins = tuple(branch(np.array([x, y, -15.0])) for x in (-9.0, 9.0) for y in (-9.0, 9.0))
-    flat = mitral_from_shape(cut_ball(), Skeleton(np.zeros(3), 14.0, veins))
+    flat = mitral_from_shape(cut_ball(), Skeleton(np.zeros(3), 14.0, ()), VEINS)
     assert (flat.source, flat.confidence) == ("largest flat patch", 0.6)
     assert flat.normal @ UP > 0.999 and flat.diameter_mm == pytest.approx(2 * RIM, rel=0.05)
-    round_ = mitral_from_shape(icosphere(RADIUS, 4), Skeleton(np.zeros(3), RADIUS, veins))
+    round_ = mitral_from_shape(icosphere(RADIUS, 4), Skeleton(np.zeros(3), RADIUS, ()), VEINS)
     assert (round_.source, round_.confidence) == ("opposite the veins", 0.2)
     assert round_.normal == pytest.approx(UP, abs=1e-9)
     assert round_.centre == pytest.approx([0, 0, 0.75 * RADIUS], abs=0.2)
+
+
+def patch(surface: Surface) -> Candidate:
+    found = mitral_from_shape(surface, Skeleton(np.zeros(3), 14.0, ()), VEINS)
+    assert found.source == "largest flat patch"
+    area = np.pi * found.diameter_mm**2 / 4
+    return Candidate(found.centre, found.normal, area, GUESS, np.array([found.diameter_mm / 2, 0, 0]))
+
+
+def test_a_cut_has_a_sharp_border_and_a_body_that_happens_to_be_flat_has_none() -> None:
+    # the ball's own normal at the cut is acos(14 / 20) = 46 degrees off the axis, and 10 more 3.5 mm beyond
+    cut = border_turn_deg(cut_ball(), patch(cut_ball()))
+    assert cut == pytest.approx(56, abs=3) and cut > SHARP_DEG
+    # a ball of 120 mm is flat within .9 mm over 15 mm each way: 7 degrees, and 3.5 mm beyond 9
+    ball = icosphere(120.0, 6)
+    assert border_turn_deg(ball, patch(ball)) == pytest.approx(9, abs=2)
+    # nothing flat there: no border
+    assert border_turn_deg(ball, vein(0.0, 0.0)) == 0.0
