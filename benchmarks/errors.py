@@ -5,10 +5,10 @@
 For each seed an atrium (its own shape and volume, wall of 1 - 4 mm) and a point of the inner 60 % of the 14-input box are drawn
 (near its corners quadratic cells of the finest size take up to an hour, and which of several equilibria is found differs), and
 simulated with linear and quadratic cells of several sizes; differences to quadratic cells of --finest-mm are the true errors.
-Runs are kept in FOLDER/runs.jsonl; another call goes on. The model (``lacli/mechanics/numerics/error_model.py``) is fitted to all
-anatomies, and its coverage measured on each by a fit to the others. --write: the fit becomes the built-in model. --times: how
-the errors of a feature at several times go together. --bundle: bundles of one more anatomy (coarse ones, the finest last), held
-against the built-in model.
+Runs are kept in FOLDER/runs.jsonl; another call goes on. The model (``lacli/mechanics/numerics/error_model.py``) is fitted to
+all anatomies, and its coverage measured on each by a fit to the others. --times: coverage by time, and how the errors of
+features, regions and times go together. --write: what was found becomes the built-in. --bundle: bundles of one more anatomy (coarse ones,
+the finest last), held against the built-in model.
 
 Asked: at least 93 % of the true errors within twice the stated, on anatomies the model has not seen.
 """
@@ -33,6 +33,8 @@ from lacli.contracts.features import KEYS, at_time, parse
 from lacli.contracts.motion import save_motion
 from lacli.contracts.parameters import parameter_box
 from lacli.contracts.scene import build_scene, with_parameters
+from lacli.mechanics.numerics import error_correlation
+from lacli.mechanics.numerics.error_correlation import measured
 from lacli.mechanics.numerics.error_model import FILE, Resolution, family, model_errors, moved_mm, resolution, scale
 from lacli.mechanics.simulation import run_scene
 from lacli.synthetic.atrium import synthesize
@@ -191,19 +193,36 @@ def coverage(data: list[Difference]) -> dict[int, float]:
     return found
 
 
-def together(folder: Path, rows: list[dict[str, Any]], finest_mm: float) -> float:
-    """Correlation between the errors of a feature at two of its times, each over its scale (about zero, not about their mean)."""
-    products, squares = [], []
-    by: dict[tuple[int, str, int, float], list[float]] = {}
+def together(folder: Path, rows: list[dict[str, Any]], finest_mm: float, order: int) -> dict[str, float]:
+    """How errors over the stated ones go together, by group of features, for cells of that order."""
+    run = {(row["seed"], row["order"], row["cell_size_mm"]): row for row in rows}
+    by: dict[tuple[int, float], list[Difference]] = {}
     for d in differences(folder, rows, finest_mm):
-        if "@" in d.name:
-            by.setdefault((d.seed, family(d.name), d.where.order, d.cell_mm), []).append(d.error / d.scale)
-    for values in by.values():
-        v = np.array(values)
-        n = len(v)
-        products.append((v.sum() ** 2 - (v**2).sum()) / (n * (n - 1)))
-        squares.append((v**2).mean())
-    return float(np.sum(products) / np.sum(squares))
+        if d.where.order == order:
+            by.setdefault((d.seed, d.cell_mm), []).append(d)
+    samples = []
+    for (seed, cell_mm), data in by.items():
+        features = run[seed, order, cell_mm]["features"]
+        stated = model_errors(features, data[0].where)
+        told = [d for d in data if stated.get(d.name, 0.0) > 0.0]
+        values = np.array([features[d.name] for d in told])
+        samples.append(([d.name for d in told], values, np.array([d.error / stated[d.name] for d in told])))
+    return measured(samples)
+
+
+def by_time(folder: Path, rows: list[dict[str, Any]], finest_mm: float) -> list[list[Any]]:
+    """Rows of a table: share of the errors at each time within twice the stated, by the cells' order and size."""
+    run = {(row["seed"], row["order"], row["cell_size_mm"]): row for row in rows}
+    stated: dict[tuple[int, int, float], dict[str, float]] = {}
+    inside: dict[tuple[int, float, str], list[bool]] = {}
+    for d in differences(folder, rows, finest_mm):
+        key = (d.seed, d.where.order, d.cell_mm)
+        if key not in stated:
+            stated[key] = model_errors(run[key]["features"], d.where)
+        if d.name in stated[key]:
+            good = abs(d.error) <= 2.0 * stated[key][d.name]
+            inside.setdefault((d.where.order, d.cell_mm, d.name.partition("@")[2] or "ES"), []).append(good)
+    return [[*key, len(values), 100.0 * float(np.mean(values))] for key, values in sorted(inside.items())]
 
 
 def held_against(folder: Path, names: list[Path], seed: int) -> list[list[Any]]:
@@ -244,7 +263,16 @@ def main() -> None:
         return
     if choice.times:
         rows = collect(choice.folder, seeds, ((1, 8.0), (1, 6.0), (1, 4.0), (2, 6.0), (2, 4.0)), "times.jsonl", TIMES)
-        print(f"errors of a feature at two times: correlation {together(choice.folder, rows, 4.0):.2f} (taken: 0.9)")
+        print_table("By time", ["order", "cells (mm)", "time", "errors", "within twice (%)"], by_time(choice.folder, rows, 4.0))
+        found = {str(order): together(choice.folder, rows, 4.0, order) for order in (1, 2)}
+        for order, groups in found.items():
+            largest = sorted(groups.items(), key=lambda item: -abs(item[1]))[:12]
+            print(f"order {order}: " + "; ".join(f"{name} {value:.2f}" for name, value in largest))
+        if choice.write:
+            write_json(
+                error_correlation.FILE, {"finest_mm": 4.0, "anatomies": len({row["seed"] for row in rows}), "orders": found}
+            )
+            print(f"written: {error_correlation.FILE}")
         return
     rows = collect(choice.folder, seeds, (*CHOICES, (2, choice.finest_mm)), "runs.jsonl")
     data = differences(choice.folder, rows, choice.finest_mm)

@@ -19,10 +19,9 @@ import pandas as pd
 
 from lacli.anatomy.surface_features import Endocardium
 from lacli.contracts.bundle import load
-from lacli.contracts.features import parse
+from lacli.contracts.features import kind_of, parse
 from lacli.motion import frames as framing
 from lacli.motion.errors import uncertainty
-from lacli.motion.errors.shrinkage import kind_of
 from lacli.motion.patient import Settings, Tracked, track
 from lacli.motion.targets import Covaried, measured
 from lacli.synthetic.cycle import draw_parameters

@@ -21,7 +21,7 @@ from lacli.calibration.sequential.scale import Scale
 from lacli.contracts.targets import Targets
 from lacli.inference.box import Box
 from lacli.inference.runs import Outcome, Simulator
-from lacli.mechanics.numerics.error_model import correlation
+from lacli.mechanics.numerics.error_correlation import correlation
 
 MOST_RUNS = 5
 _SETTLED = 0.03  # standard deviations: a shorter step ends the search
@@ -31,12 +31,13 @@ _LONGEST = 0.25  # of the box in one step
 
 @dataclass(frozen=True)
 class Choice:
-    """A choice of numerics: its name, the simulator of the scene with it, and the scene's discretisation errors (sd, in the
-    targets' units) that a calibration with it adds to the targets' own."""
+    """A choice of numerics: its name, the simulator of the scene with it, the scene's discretisation errors (sd, in the targets'
+    units) that a calibration with it adds to the targets' own, and the order of the cells, by which they go together."""
 
     name: str
     simulator: Simulator
     errors: Mapping[str, float]
+    order: int = 2
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ def effects(
     tell(choices[-1].name)
     best = _run(choices[-1], targets, box, x, scale)
     patient = Targets(targets.names, best.y, targets.sd, targets.covariance)
-    reference = _sd(best.jacobian, _factor(patient, {}))
+    reference = _sd(best.jacobian, _factor(patient, {}, choices[-1].order))
     found = []
     for choice in choices[:-1]:
         tell(choice.name)
@@ -111,7 +112,7 @@ def worst_shift(effect: Effect, names: Sequence[str]) -> float:
 
 def _effect(choice: Choice, patient: Targets, box: Box, x: FloatArray, scale: Scale, reference: FloatArray) -> Effect:
     first = _run(choice, patient, box, x, scale)
-    plain, wide = _factor(patient, {}), _factor(patient, choice.errors)
+    plain, wide = _factor(patient, {}, choice.order), _factor(patient, choice.errors, choice.order)
     error = float(np.sqrt(np.mean(solve_triangular(plain, first.y - patient.mean, lower=True) ** 2)))
     start = scale.to_z(x[None])[0]
     z, point, cpu = start, first, [first.cpu_s]
@@ -153,9 +154,9 @@ def _jacobian(outcome: Outcome, names: Sequence[str], inputs: Sequence[str]) -> 
     return np.array([[outcome.gradients.get((name, given), np.nan) for given in inputs] for name in names])
 
 
-def _factor(targets: Targets, errors: Mapping[str, float]) -> FloatArray:
+def _factor(targets: Targets, errors: Mapping[str, float], order: int) -> FloatArray:
     """(p, p) lower triangle of the covariance of the targets, widened by errors."""
-    wide = targets.widened(errors, correlation(targets.names))
+    wide = targets.widened(errors, correlation(targets.names, targets.mean, order))
     covariance = np.diag(wide.sd**2) if wide.covariance is None else wide.covariance
     return np.asarray(np.linalg.cholesky(covariance))
 

@@ -14,9 +14,10 @@ from lacli.cohort.comparison import REGIONAL, Model
 from lacli.contracts.targets import Targets
 from lacli.inference.box import make_box
 from lacli.inference.emulation.emulator_set import load_emulators
-from lacli.mechanics.numerics.error_model import correlation
+from lacli.mechanics.numerics.error_correlation import correlation
 
 RESULT, IDENTITY = "result.json", "calibration.json"
+_ORDER = "runs.numerics.order"
 
 
 def read_result(folder: Path) -> Mapping[str, Any]:
@@ -33,7 +34,12 @@ def held_against(folder: Path, targets: Targets) -> Targets:
     errors = {
         str(row["feature"]): float(np.sqrt(max(row["sd"] ** 2 - _own_sd(row) ** 2, 0.0))) for row in read_result(folder)["fit"]
     }
-    return targets.widened(errors, correlation(targets.names)) if any(errors.values()) else targets
+    if not any(errors.values()):
+        return targets
+    order = read_json(folder / IDENTITY).get("content", {}).get(_ORDER)
+    if order not in (1, 2):
+        raise InputError(f"{folder / IDENTITY}: tells no order of the cells, by which its discretisation errors go together.")
+    return targets.widened(errors, correlation(targets.names, targets.mean, order))
 
 
 def _own_sd(row: Mapping[str, Any]) -> float:

@@ -75,3 +75,11 @@ def parse(name: str) -> tuple[Feature, float | None]:
     if not (math.isfinite(value) and 0.0 <= value <= 1.0):
         raise ValueError(f"{name!r}: the time after @ is a fraction of the RR interval, 0 to 1")
     return KEYS[key], value
+
+
+def kind_of(key: str) -> tuple[str, str]:
+    """Kind of a feature and its region ("" for the whole): ("n", "roof")."""
+    for region in BODY_REGIONS:
+        if f"_{region}" in key:
+            return key.replace(f"_{region}", "").removesuffix("_mm"), region
+    return ("d_global" if key == "d_global_mm" else key.removesuffix("_ml")), ""

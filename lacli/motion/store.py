@@ -17,12 +17,11 @@ from lacli.base.errors import StorageError
 from lacli.base.files import replacing, write_json, write_text
 from lacli.base.schema import write_arrays
 from lacli.contracts.bundle import Bundle
-from lacli.contracts.features import parse
+from lacli.contracts.features import kind_of, parse
 from lacli.contracts.tables.covariance import write_covariance
 from lacli.geometry.subdivision import straight
 from lacli.motion.annulus import annulus_points
 from lacli.motion.axes import nodal_axes
-from lacli.motion.errors.shrinkage import kind_of
 from lacli.motion.patient import Tracked
 from lacli.motion.phases import Phases
 from lacli.motion.targets import Covaried

@@ -15,7 +15,7 @@ from lacli.contracts.features import FEATURES
 from lacli.contracts.scene import build_scene
 from lacli.contracts.targets import Targets
 from lacli.mechanics.numerics import accuracy, error_model
-from lacli.mechanics.numerics.error_model import Resolution, correlation, family, model_errors, moved_mm, resolution, scale
+from lacli.mechanics.numerics.error_model import Resolution, family, model_errors, moved_mm, resolution, scale
 from lacli.mechanics.numerics.stated import MEASURED, MODEL, said_of, stated_errors, with_discretisation
 
 WHERE = Resolution(1, 4.0, 100.0, 2.0)
@@ -42,7 +42,7 @@ def test_errors_scale_with_the_motion_the_cells_and_the_wall() -> None:
 
 @pytest.mark.usefixtures("plain")
 def test_errors_at_a_time_scale_with_the_motion_at_that_time() -> None:
-    features = {"d_global_mm": 5.0, "d_roof_mm@0.1": 1.0, "d_septum_mm@0.1": 3.0, "d_roof_mm@0.2": 0.0}
+    features = {"d_roof_mm@0.1": 1.0, "d_septum_mm@0.1": 3.0, "d_roof_mm@0.2": 0.0}
     found = model_errors(features, WHERE)
     # no motion of the whole at 0.1: the mean of the regions', 2 mm
     assert found["d_roof_mm@0.1"] == pytest.approx(2.0 * 8.0 * 0.04 * 0.5 * 3.0)
@@ -112,21 +112,14 @@ def test_what_was_measured_comes_first_and_the_source_is_told(tmp_path: Path) ->
     assert said_of(("d_roof_mm",), told) == []
 
 
-def test_errors_of_one_feature_at_several_times_go_together() -> None:
-    names = ("d_roof_mm@0.1", "d_roof_mm@0.2", "d_septum_mm@0.1", "esv_ml", "volume_ml@0.1", "other", "another")
-    found = correlation(names)
-    rho = error_model.ACROSS_TIMES
-    assert found[0, 1] == rho and found[3, 4] == rho
-    assert found[0, 2] == found[0, 3] == 0.0
-    assert (np.linalg.eigvalsh(correlation(names[:5])) > 0).all()
-    targets = Targets(names[:3], np.ones(3), np.full(3, 0.1))
-    wide = targets.widened({"d_roof_mm@0.1": 0.2, "d_roof_mm@0.2": 0.4}, correlation(names[:3]))
-    assert wide.covariance is not None
-    assert wide.covariance[0] == pytest.approx([0.05, rho * 0.08, 0.0])  # .01 + .04, rho x .2 x .4
-    assert wide.own_sd == pytest.approx([0.1, 0.1, 0.1]) and wide.added == pytest.approx([0.2, 0.4, 0.0])
-    assert wide.select(names[1:2]).own_sd == pytest.approx([0.1])
-    again = wide.widened({"d_roof_mm@0.1": 0.3})
-    assert again.own_sd == pytest.approx([0.1, 0.1, 0.1]) and again.sd[0] == pytest.approx(np.sqrt(0.01 + 0.04 + 0.09))
+def test_errors_fall_slower_than_the_motion() -> None:
+    where = error_model.Resolution(1, 4.0, 120.0, 2.0)
+    features = {"d_global_mm": 8.0, "d_roof_mm": 7.0, "d_global_mm@0.1": 2.0, "d_roof_mm@0.1": 1.0}
+    found = error_model.model_errors(features, where)
+    # a quarter of the motion: 2 / 8 x 4^.4 of the error
+    assert found["d_roof_mm@0.1"] == pytest.approx(0.25 * 4.0**0.4 * found["d_roof_mm"])
+    alone = error_model.model_errors({k: v for k, v in features.items() if "@" in k}, where)
+    assert alone["d_roof_mm@0.1"] == pytest.approx(0.25 * found["d_roof_mm"]), "nothing is known of end-systole"
 
 
 def test_the_model_s_file_is_what_the_benchmark_writes() -> None:

@@ -78,7 +78,7 @@ def calibration_tradeoff(
             )
             name = f"{'linear' if order == 1 else 'quadratic'}, {'own mesh' if number == 0 else place.name}"
             run = simulator(chosen, store, 1, targets=targets.names)
-            choices.append(Choice(name, run, with_discretisation(targets, chosen)[1].errors))
+            choices.append(Choice(name, run, with_discretisation(targets, chosen)[1].errors, chosen.numerics.order))
     stage = Stage("runs", float(len(choices)), progress, cancel)
     done = iter(range(len(choices)))
     x = np.array(parameters_of(scene, box.names))

@@ -53,3 +53,11 @@ def read_covariance(targets: Path, file: object, names: Sequence[str], sd: Float
     except np.linalg.LinAlgError:
         raise TableError(f"{path}: the covariance is not positive definite; some targets are combinations of others.") from None
     return chosen
+
+
+def nearest_correlation(matrix: FloatArray) -> FloatArray:
+    """The correlation matrix without negative eigenvalues, its diagonal 1 again (Higham's first step)."""
+    value, vector = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    kept = (vector * np.maximum(value, 1e-3)) @ vector.T
+    size = np.sqrt(np.diag(kept))
+    return kept / np.outer(size, size)

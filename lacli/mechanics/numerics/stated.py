@@ -13,7 +13,8 @@ from lacli.contracts.bundle import Bundle
 from lacli.contracts.scene import Scene
 from lacli.contracts.targets import Targets
 from lacli.mechanics.numerics.accuracy import known_errors
-from lacli.mechanics.numerics.error_model import correlation, model_errors, resolution
+from lacli.mechanics.numerics.error_correlation import correlation
+from lacli.mechanics.numerics.error_model import model_errors, resolution
 
 MEASURED, MODEL = "measured", "model"
 
@@ -52,13 +53,13 @@ def with_errors(scene: Scene, bundle: Bundle, features: Mapping[str, Any]) -> di
 def with_discretisation(targets: Targets, scene: Scene, *, but: str = "") -> tuple[Targets, Stated]:
     """Targets widened by the errors of the scene that is held against them, and those errors.
 
-    The motion that scales the model's is the targets' own. The errors of one feature at several times go together. ``but``: a
+    The motion that scales the model's is the targets' own. Errors go together as ``error_correlation`` has it. ``but``: a
     source whose errors are not added, since they are elsewhere.
     """
     told = dict(zip(targets.names, map(float, targets.mean), strict=True))
     stated = stated_errors(scene, bundles.load(scene.anatomy.bundle), told)
     added = {name: value for name, value in stated.errors.items() if stated.source[name] != but}
-    return targets.widened(added, correlation(targets.names)), stated
+    return targets.widened(added, correlation(targets.names, targets.mean, scene.numerics.order)), stated
 
 
 def said_of(names: Sequence[str], stated: Stated) -> list[str]:

@@ -11,8 +11,8 @@ from scipy.interpolate import CubicSpline
 
 from lacli.base.arrays import BoolArray, FloatArray
 from lacli.base.errors import InputError
-from lacli.contracts.features import KEYS, parse
-from lacli.motion.errors.shrinkage import kind_of, spread
+from lacli.contracts.features import KEYS, kind_of, parse
+from lacli.motion.errors.shrinkage import spread
 
 SAME_TIME = 0.02  # of the cycle: a target so near to a frame has used it
 _KINDS = ("volume", "d_global", "d", "n", "a", "b", "area_strain", "fibre_strain")

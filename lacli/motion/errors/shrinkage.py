@@ -12,21 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from lacli.base.arrays import FloatArray
-from lacli.contracts.labels import REGIONS
+from lacli.contracts.features import kind_of
 
 # a known motion tells a true one's shrinkage to about this share of it (docs/methods.md)
 _TOLD = 0.5
 _MOST = 0.15
 # the volume is what the wall moves along its normal, the whole's displacement a mean of the regions': one shrinkage, one error
 _ONE = {"volume": "n", "d_global": "d"}
-
-
-def kind_of(key: str) -> tuple[str, str]:
-    """Kind of a feature and its region ("" for the whole): ("n", "roof")."""
-    for region in REGIONS:
-        if f"_{region}" in key:
-            return key.replace(f"_{region}", "").removesuffix("_mm"), region
-    return ("d_global" if key == "d_global_mm" else key.removesuffix("_ml")), ""
 
 
 def group_of(key: str) -> str:

@@ -16,9 +16,11 @@ from scipy import ndimage
 from lacli.anatomy.inputs.image import Image
 from lacli.anatomy.surface_features import Endocardium
 from lacli.base.arrays import FloatArray
+from lacli.contracts.features import kind_of
 from lacli.contracts.labels import REGIONS
+from lacli.contracts.tables.covariance import nearest_correlation
 from lacli.geometry.quadrature import at_quadrature
-from lacli.motion.errors.shrinkage import Shrinkage, kind_of, shrinkage_of
+from lacli.motion.errors.shrinkage import Shrinkage, shrinkage_of
 from lacli.motion.field import Field, pull
 from lacli.motion.tracking import Pair
 
@@ -207,14 +209,6 @@ def error_model(errors: Sequence[Mapping[str, float]], changes: Sequence[Mapping
         pairs = (total**2 - (z**2).sum(axis=0)) / (len(e) * (len(e) - 1))
         between = float(np.clip(pairs.mean(), 0.0, 0.95))
     return ErrorModel(keys, sd, nearest_correlation(correlation), between, len(e), found)
-
-
-def nearest_correlation(matrix: FloatArray) -> FloatArray:
-    """The correlation matrix without negative eigenvalues, its diagonal 1 again (Higham's first step)."""
-    value, vector = np.linalg.eigh(0.5 * (matrix + matrix.T))
-    kept = (vector * np.maximum(value, 1e-3)) @ vector.T
-    size = np.sqrt(np.diag(kept))
-    return kept / np.outer(size, size)
 
 
 def stated_model(surface: Endocardium, normal_mm: float, tangential_mm: float) -> ErrorModel:
