@@ -7,8 +7,8 @@ For each seed an atrium (its own shape and volume, wall of 1 - 4 mm) and a point
 simulated with linear and quadratic cells of several sizes; differences to quadratic cells of --finest-mm are the true errors.
 Runs are kept in FOLDER/runs.jsonl; another call goes on. The model (``lacli/mechanics/numerics/error_model.py``) is fitted to
 all anatomies, and its coverage measured on each by a fit to the others. --times: coverage by time, and how the errors of
-features, regions and times go together. --write: what was found becomes the built-in. --bundle: bundles of one more anatomy (coarse ones,
-the finest last), held against the built-in model.
+features, regions and times go together. --write: what was found becomes the built-in. --bundle: bundles of one more anatomy
+(coarse ones, the finest last), held against the built-in model.
 
 Asked: at least 93 % of the true errors within twice the stated, on anatomies the model has not seen.
 """
