@@ -36,6 +36,7 @@ class Plan:
     vein_springs: bool
     pericardium: bool
     outward_only: bool
+    dents: bool
     sensitivities: bool
     phases: tuple[Phase, ...]
 

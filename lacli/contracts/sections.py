@@ -162,13 +162,17 @@ class Loads(Section):
 
 
 class Pericardium(Section):
-    """Springs along the epicardium's unloaded normal, scaled by smoothstep((xi - (pth - ramp)) / ramp)."""
+    """Springs along the epicardium's unloaded normal, scaled by smoothstep((xi - (pth - ramp)) / ramp), in full over dents."""
 
     place = "pericardium"
     k_peri_kpa_per_um: Number = _default("pericardium.k_peri_kpa_per_um")
     pth: Number = _default("pericardium.pth")
     ramp: Number = _default("pericardium.ramp")
     outward_only: bool = Field(default=False, description="whether the springs resist outward motion only")
+    dents: bool = Field(
+        default=False,
+        description="whether springs also hold the outer surface where it is concave in the image: something pressed it in",
+    )
 
     @property
     def k_peri_kpa_per_mm(self) -> float:

@@ -17,6 +17,7 @@ from lacli.contracts.laws import LAWS, MOST_CONSTANTS, NUMBER, RINGS_LAW
 from lacli.contracts.motion import Motion
 from lacli.contracts.sections import Materials, Pericardium
 from lacli.freefem.files import CELL_ORDER, write_arrays, write_faces, write_medit
+from lacli.geometry.curvature import curvature_sum
 from lacli.geometry.quadrature import at_quadrature
 
 
@@ -35,6 +36,10 @@ class Cell(IntEnum):
 
 CELL_COLUMNS = Cell.STABILISATION + 1
 
+# Dents: curvatures are of the outer surface within DENT_MM, or DENT_CELLS edges of its triangles where these are long. A ball as
+# large as an atrium (25 mm) has .08 / mm.
+DENT_MM, DENT_CELLS, CONVEX = 6.0, 1.5, 0.01
+
 
 def pericardium_weight(xi: FloatArray, settings: Pericardium) -> FloatArray:
     """w = smoothstep((xi - (pth - ramp)) / ramp): 0 around the mitral valve, 1 on the roof."""
@@ -46,6 +51,31 @@ def pericardium_weight_slope(xi: FloatArray, settings: Pericardium) -> FloatArra
     """Derivative of ``pericardium_weight`` by ``pth``, 1/unit of xi."""
     s = np.clip((xi - (settings.pth - settings.ramp)) / settings.ramp, 0.0, 1.0)
     return -6.0 * s * (1.0 - s) / settings.ramp
+
+
+def dent_weight(bundle: Bundle) -> FloatArray:
+    """Weight (t, q) at the triangles' quadrature points of springs that hold dents of the outer surface: 1 where the sum of the
+    principal curvatures is 0 or less, 0 from CONVEX on.
+
+    No tension along a wall carries a pressure from inside where that sum is not positive; what pressed the wall in does.
+    """
+    outer = bundle.triangles[bundle.tags == EPI]
+    edge = np.linalg.norm(bundle.points[outer[:, 0]] - bundle.points[outer[:, 1]], axis=1)
+    total = curvature_sum(bundle.points, outer, max(DENT_MM, DENT_CELLS * float(np.median(edge))))
+    s = np.clip(1.0 - np.nan_to_num(total, nan=CONVEX) / CONVEX, 0.0, 1.0)
+    return at_quadrature(bundle.triangles[:, :3], s * s * (3.0 - 2.0 * s))
+
+
+def support(bundle: Bundle, settings: Pericardium) -> tuple[FloatArray, FloatArray]:
+    """Weight of the springs at the triangles' quadrature points and its derivative by ``pth``, (t, q) both."""
+    assert bundle.pericardium_coordinate is not None
+    # the weight turns within a cell: taken at the quadrature points, not between values at the corners
+    xi = at_quadrature(bundle.triangles[:, :3], bundle.pericardium_coordinate)
+    weight, slope = pericardium_weight(xi, settings), pericardium_weight_slope(xi, settings)
+    if settings.dents:
+        dents = dent_weight(bundle)
+        weight, slope = np.maximum(weight, dents), np.where(dents > weight, 0.0, slope)
+    return weight, slope
 
 
 def write_inputs(case: Case, folder: Path) -> None:
@@ -60,14 +90,10 @@ def write_inputs(case: Case, folder: Path) -> None:
     if plan.vein_springs:
         write_faces(folder / "veins.txt", bundle.triangles[np.isin(bundle.tags, [RINGS["rspv"], RINGS["ripv"]])])
     if plan.pericardium:
-        assert bundle.pericardium_coordinate is not None
-        # the weight turns within a cell: taken at the quadrature points, not between values at the corners
-        xi = at_quadrature(bundle.triangles[:, :3], bundle.pericardium_coordinate)
-        weight = pericardium_weight(xi, scene.pericardium)
+        weight, slope = support(bundle, scene.pericardium)
         touched = (bundle.tags == EPI) & (weight > 0).any(axis=1)
         write_faces(folder / "pericardium.txt", bundle.triangles[touched], weight[touched])
         if plan.sensitivities:
-            slope = pericardium_weight_slope(xi, scene.pericardium)
             write_arrays(folder / "pericardium_slope.txt", slope[touched])
     if plan.moving:
         assert motion is not None

@@ -67,6 +67,7 @@ def make_plan(scene: Scene, bundle: Bundle, motion: Motion | None) -> Plan:
         vein_springs=veins,
         pericardium=pericardium,
         outward_only=scene.pericardium.outward_only,
+        dents=scene.pericardium.dents,
         sensitivities=scene.outputs.sensitivities and not backward,
         phases=_phases(Pressure(scene.loads, motion.es_time if motion is not None else scene.motion.es_time), scene.outputs),
     )
@@ -131,6 +132,7 @@ def describe(scene: Scene, bundle: Bundle) -> list[tuple[str, bool, str]]:
             f"{scene.pericardium.k_peri_kpa_per_um:g} kPa/um, PTH {scene.pericardium.pth:g}",
         ),
         ("outward only", plan.pericardium and plan.outward_only, "pericardium.outward_only"),
+        ("dents held", plan.pericardium and plan.dents, "pericardium.dents"),
         (
             "transient",
             scene.outputs.frames > 1 or bool(scene.outputs.times),

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shapes import cut_ball
+from shapes import cut_ball, icosphere
 
 from lacli.anatomy.surface_features import cavity_volume_ml, surface_features
 from lacli.anatomy.wall.shell import mesh_shell
@@ -16,6 +16,7 @@ from lacli.base.errors import AnatomyError, InputError, SceneError, SimulationEr
 from lacli.contracts import bundle as bundles
 from lacli.contracts.bundle import Bundle, as_order
 from lacli.contracts.case import Case
+from lacli.contracts.labels import EPI
 from lacli.contracts.motion import save_motion
 from lacli.contracts.scene import Scene, build_scene
 from lacli.freefem import run as freefem
@@ -219,6 +220,40 @@ def test_pericardium_weight_is_zero_at_the_valve_and_one_on_the_roof(folder: Pat
     weight = inputs.pericardium_weight(np.array([0.0, 0.55, 0.65, 0.75, 1.0]), settings)
     # smoothstep((xi - 0.55) / 0.2): s = 0.5 gives 0.25 * (3 - 1) = 0.5
     assert weight == pytest.approx([0, 0, 0.5, 1, 1])
+
+
+@pytest.fixture(scope="module")
+def dented() -> Bundle:
+    """The surface of a ball of 30 mm as an outer surface, its cap above z = 25 mm pressed in: mirrored at that plane."""
+    ball = icosphere(30.0, 5)
+    points = ball.points.copy()
+    points[:, 2] = np.where(points[:, 2] > 25.0, 50.0 - points[:, 2], points[:, 2])
+    tags = np.full(len(ball.triangles), EPI)
+    none = np.zeros((0, 4), dtype=np.int64)
+    height = np.clip((points[:, 2] + 30.0) / 60.0, 0, 1)
+    return Bundle(points, none, np.zeros(0, dtype=np.int64), ball.triangles, tags, None, pericardium_coordinate=height)
+
+
+def test_springs_hold_dents_alone(ball: Bundle, dented: Bundle) -> None:
+    weight = inputs.dent_weight(dented)
+    middle = dented.points[dented.triangles].mean(axis=1)
+    beside = np.hypot(middle[:, 0], middle[:, 1])  # the dent's rim is at sqrt(30^2 - 25^2) = 16.6 mm
+    deep, far = (beside < 9.0) & (middle[:, 2] > 0), middle[:, 2] < 10.0
+    # -2 / 30 in the dent, 2 / 30 elsewhere
+    assert deep.sum() > 100 and (weight[deep] == 1).all()
+    assert (weight[far] == 0).all()
+    # a ball has none: with and without the term the springs are the same
+    assert (inputs.dent_weight(ball)[ball.tags == EPI] == 0).all()
+
+
+def test_where_springs_hold_a_dent_the_end_of_the_pericardium_moves_nothing(folder: Path, dented: Bundle) -> None:
+    # the dent's bottom is at (20 + 30) / 60 = .83 of the way, where the springs set in
+    ends = "pericardium.pth=0.95"
+    weight, slope = inputs.support(dented, scene(folder, ends, "pericardium.dents=true").pericardium)
+    without, moved = inputs.support(dented, scene(folder, ends).pericardium)
+    assert (weight >= without).all() and (weight > without).any()
+    held = weight > without
+    assert (slope[held] == 0).all() and (slope[~held] == moved[~held]).all() and (moved != 0).any()
 
 
 def test_a_linear_bundle_refuses_quadratic_numerics(ball: Bundle) -> None:
