@@ -3,9 +3,10 @@
     python benchmarks/workers.py [--workers 8 64 512] [--seconds 10] [--each 4] [--real 1 2] [--runs 16] [--cell-size-mm 6]
         [--json]
 
-Real: so many simulations (a synthetic atrium, linear cells of --cell-size-mm) on 1 and 2 workers of this machine. Simulated: a Dask
-scheduler of its own and workers that are threads of few processes; a run is a stand-in of a known duration that does nothing but
-tell its progress once a second, as a real one does. ``lacli`` hands these out by the very code that hands out runs and patients.
+Real: so many simulations (a synthetic atrium, linear cells of --cell-size-mm) on 1 and 2 workers of this machine. Simulated: a
+Dask scheduler of its own and workers that are threads of few processes; a run is a stand-in of a known duration that does nothing
+but tell its progress once a second, as a real one does. ``lacli`` hands these out by the very code that hands out runs and
+patients.
 
 Efficiency is the time that workers spend in runs over their number times the time that all of it takes, from the first run
 handed out to the last result; of real runs by their own wall time, so that who else uses the machine does not count. The

@@ -156,8 +156,9 @@ def _on_slurm(
 def _slurm_folder(home: Path) -> Path:
     """Where SLURM's jobs say what they have to say. Raises UsageError, StorageError."""
     from lacli.base.files import check_folder
+    from lacli.cohort.files import SLURM
 
-    logs = home / "slurm"
+    logs = home / SLURM
     if not PLAIN_PATH.fullmatch(str(logs)):
         raise UsageError(f"{logs}: SLURM takes no path with such letters; choose another --out.")
     check_folder(logs)

@@ -108,7 +108,7 @@ def write_report(folder: Path, page: Path, *, figures: Path | None = None, run: 
     simulation that kept its fields, for anatomy and transients. Raises InputError, UsageError, StorageError.
     """
     from lacli.base.files import check_file, check_folder
-    from lacli.cohort.analysis.summary import SUMMARY
+    from lacli.cohort.files import SUMMARY
     from lacli.cohort.page import study_page
     from lacli.report.page.document import write
     from lacli.report.page.patient import RESULT, patient_page

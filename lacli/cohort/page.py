@@ -14,7 +14,7 @@ from lacli.cohort.analysis.influences import over_patients
 from lacli.cohort.analysis.journal import MODEL_HEAD, PAIR_HEAD, SLOPE_HEAD, model_rows, pair_rows, slope_rows
 from lacli.cohort.analysis.observations import Observations, read_observations
 from lacli.cohort.analysis.statistics import Statistics, statistics
-from lacli.cohort.analysis.summary import (
+from lacli.cohort.files import (
     ANATOMIES,
     CONTRASTS,
     COURSES,

@@ -12,17 +12,19 @@ import numpy as np
 import pandas as pd
 
 from lacli.base.documents import brief
-from lacli.base.errors import TableError
+from lacli.base.errors import InputError, LacliError, TableError
 from lacli.base.notes import note
 from lacli.cohort.analysis.observations import check_identifier
+from lacli.cohort.files import OWN
 from lacli.contracts.labels import BODY_REGIONS
 from lacli.contracts.tables.absent import check_column
 from lacli.contracts.tables.columns import to_numbers
 from lacli.contracts.tables.file import read_frame
-from lacli.contracts.targets import read_targets
+from lacli.contracts.targets import Targets, read_targets
 
 ID = "participant_id"
 PATHS = ("labels", "bundle", "ct", "images", "targets", "table", "scene")
+_FILES, _FOLDERS = ("labels", "targets", "table", "scene"), ("bundle",)  # of the others a path may be either
 # columns of numbers that are known: unit, and what a patient can have
 _NUMBERS = {"age": ("years", 0.0, 125.0), "heart_rate_bpm": ("beats a minute", 15.0, 400.0), "ed_volume_ml": ("mL", 1.0, 1500.0)}
 _MISSING = ("n/a", "na", "")
@@ -61,6 +63,9 @@ def read_participants(path: Path) -> list[Participant]:
         except TableError as error:
             wrong.append(str(error).rstrip("."))
             continue
+        if name.lower() in OWN:
+            wrong.append(f"row {row}: {name} is the name of one of the study's own files")
+            continue
         if (other := seen.setdefault(name.lower(), name)) != name or name in [p.identifier for p in found]:
             wrong.append(f"row {row}: {name} stands twice (as {other}); folders would be one")
             continue
@@ -84,6 +89,10 @@ def _participant(home: Path, name: str, cells: Mapping[object, object], wrong: l
             place = home / text
             if not place.exists():
                 wrong.append(f"{name}: {column} {place} is not there")
+            elif column in _FILES and not place.is_file():
+                wrong.append(f"{name}: {column} {place} is no plain file")
+            elif column in _FOLDERS and not place.is_dir():
+                wrong.append(f"{name}: {column} {place} is no folder")
             paths[column] = place.absolute()
             continue
         if column in _NUMBERS and (words := _impossible(text, *_NUMBERS[column])):
@@ -106,9 +115,7 @@ def check_targets(participants: Sequence[Participant], where: Path) -> None:
     Raises TableError, InputError of a file that is none.
     """
     have = {
-        p.identifier: {r for r in BODY_REGIONS if f"d_{r}_mm" in read_targets(p.paths["targets"]).names}
-        for p in participants
-        if "targets" in p.paths
+        p.identifier: {r for r in BODY_REGIONS if f"d_{r}_mm" in _targets(p).names} for p in participants if "targets" in p.paths
     }
     every = set().union(*have.values())
     for name, regions in have.items():
@@ -118,6 +125,14 @@ def check_targets(participants: Sequence[Participant], where: Path) -> None:
                 f"{where}: the targets of {name} lack the displacement of {', '.join(lacking)}, which {other} has. Give it,"
                 " or leave it out for all. Nothing was run."
             )
+
+
+def _targets(participant: Participant) -> Targets:
+    """A participant's targets. Raises InputError, with whose they are, where they cannot be read."""
+    try:
+        return read_targets(participant.paths["targets"])
+    except LacliError as error:
+        raise InputError(f"{participant.identifier}: targets {error} Nothing was run.") from None
 
 
 def _impossible(text: str, unit: str, low: float, high: float) -> str:

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lacli.base.errors import TableError, UsageError
+from lacli.base.errors import InputError, TableError, UsageError
 from lacli.cohort.analysis.observations import IDENTIFIER
-from lacli.cohort.participants import read_participants
+from lacli.cohort.participants import check_targets, read_participants
 from lacli.cohort.slurm import array_script
 from lacli.cohort.steps import Settings, read_settings, steps_of
 
@@ -65,12 +65,22 @@ def test_the_steps_follow_the_files(home: Path) -> None:
         (["sub-1,61,F,,,,frames,,"], "neither labels"),
         (["sub-1,61,F,labels.nrrd,,,,,"], "neither images"),
         (["sub-1,61,F,,,,,,runs.csv"], "needs targets"),
+        (["sub-1,61,F,,,,,bundle,runs.csv"], "bundle is no plain file"),
+        (["sub-1,61,F,,labels.nrrd,,,targets.toml,"], "labels.nrrd is no folder"),
+        (["Patients.csv,61,F,labels.nrrd,,,frames,,"], "the name of one of the study's own files"),
+        (["slurm,61,F,labels.nrrd,,,frames,,"], "the name of one of the study's own files"),
     ],
 )
 def test_a_bad_table_is_one_message(home: Path, rows: list[str], words: str) -> None:
     with pytest.raises(TableError) as told:
         read_participants(_table(home, *rows))
     assert words in str(told.value) and "Nothing was run" in str(told.value)
+
+
+def test_targets_that_cannot_be_read_are_told_with_whose_they_are(home: Path) -> None:
+    patients = read_participants(_table(home, "sub-1,61,F,,bundle,,,targets.toml,"))
+    with pytest.raises(InputError, match=r"sub-1: targets .*targets\.toml: not valid TOML.* Nothing was run"):
+        check_targets(patients, home / "participants.csv")
 
 
 @given(st.text(max_size=80))

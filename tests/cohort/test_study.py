@@ -13,7 +13,8 @@ from chains import chain_of
 
 from lacli.base.errors import Cancelled, InputError, UsageError
 from lacli.cohort import page as study_pages
-from lacli.cohort.analysis.summary import MODELS, PATIENTS, REGIONS, SUMMARY, median_cpu_s, write_summary
+from lacli.cohort.analysis.summary import median_cpu_s, write_summary
+from lacli.cohort.files import MODELS, PATIENTS, REGIONS, SUMMARY
 from lacli.cohort.participants import Participant, read_participants
 from lacli.cohort.steps import Step
 from lacli.cohort.study import Outcome, content_digest, known_outcome, planned, run

@@ -97,6 +97,8 @@ def _check_options(settings: Path | None) -> None:
 
 
 def _cost_words(cost: dict[str, Any]) -> str:
+    if not cost["calibrations"]:
+        return "No simulations to make."
     runs = f"{cost['calibrations']} calibrations to do, of at most {cost['runs_each']} runs each"
     if cost["cpu_s_per_run"] is None:
         return f"{runs}; what a run costs is not known before the first patient's (`lacli simulate --dry-run` tells)."

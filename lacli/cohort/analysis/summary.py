@@ -24,14 +24,26 @@ from lacli.cohort.analysis.fits import (
     read_contrasts,
 )
 from lacli.cohort.analysis.influences import influences
+from lacli.cohort.files import (
+    ANATOMIES,
+    CONTRASTS,
+    COURSES,
+    DISCRETISATION,
+    DRAWS,
+    FEATURES,
+    FRAMES,
+    INFLUENCES,
+    MODELS,
+    OUTPUTS,
+    PATIENTS,
+    REGIONS,
+    SUMMARY,
+    WAVES,
+)
 from lacli.cohort.participants import Participant
 from lacli.cohort.study import Outcome
 from lacli.contracts.labels import BODY_REGIONS
 
-PATIENTS, REGIONS, DRAWS, MODELS, SUMMARY = "patients.csv", "regions.csv", "draws.csv", "models.csv", "summary.json"
-FEATURES, WAVES, CONTRASTS, ANATOMIES = "features.csv", "waves.csv", "contrasts.csv", "anatomies.csv"
-COURSES, FRAMES, DISCRETISATION = "courses.csv", "frames.csv", "discretisation.csv"
-OUTPUTS, INFLUENCES = "emulators.csv", "influences.csv"
 _DRAWS = 200
 
 

@@ -61,7 +61,7 @@ def read_frame(path: Path) -> pd.DataFrame:
         frame.columns = [name or f"Unnamed: {i}" for i, name in enumerate(_header_names(path))][: frame.shape[1]]
     frame.columns = [str(name).strip() for name in frame.columns]
     if frame.empty or frame.shape[1] == 0:
-        raise TableError(f"{path}: the table is empty. It needs a header line and one run a row.")
+        raise TableError(f"{path}: the table is empty. It needs a header line and rows below it.")
     if parquet:
         frame = frame.reset_index(drop=True)
     twice = sorted(set(frame.columns[frame.columns.duplicated()]))
