@@ -1,14 +1,14 @@
 """One patient from end to end with the truth known: targets with drawn, correlated noise; runs, posterior. Synthetic atrium.
 
     python benchmarks/patient.py [--cell-size-mm 6] [--order 1] [--seed 1] [--truths 1 2 3] [--few] [--shared] [--reference 200]
-                                 [--out DIR] [--json]
+                                 [--real] [--out DIR] [--json]
 
 Each truth is drawn from the inner part of the box and simulated; its 90 targets (magnitudes, components along normal and
 universal coordinates, area strain and volume, at end-systole and in three frames) get errors of 0.2 mm, 5 % of the
 end-diastolic volume and 0.02 of strain, correlated between frames (.5) and between features of a region's motion (.3), and are
 calibrated against. With --shared a truth starts from the runs of those before it that lie nearest to its targets (those are not
-counted; truth 3005 is a run of truth 3's calibration, the fifth from its end, and not among those). Kept in DIR, and gone on
-with. Printed: asked beside measured.
+counted; truth 3005 is a run of truth 3's calibration, the fifth from its end, and not among those). --real: the anatomy is a real
+one (Rodero et al. 2021, case 01). Kept in DIR, and gone on with. Printed: asked beside measured.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from real_atrium import DATA, made
 
 from lacli.base.files import write_json
 from lacli.calibration.sequential.calibration import calibrate_sequentially
@@ -214,6 +215,7 @@ def main() -> None:
     parser.add_argument("--order", type=int, default=1, choices=(1, 2))
     parser.add_argument("--seed", type=int, default=1, help="of the atrium")
     parser.add_argument("--truths", type=int, nargs="*", default=[1], help="numbers of the truths")
+    parser.add_argument("--real", action="store_true", help="a real atrium instead of a seed's")
     parser.add_argument("--few", action="store_true", help="against the seven published targets alone")
     parser.add_argument("--shared", action="store_true", help="truths start from the runs of those before")
     parser.add_argument("--reference", type=int, default=0, help="so many draws of the posterior are run, to weigh them anew")
@@ -223,8 +225,10 @@ def main() -> None:
     choice = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="lacli-patient-") as temporary:
         out = (choice.out or Path(temporary)).resolve()
-        folder = out / f"bundle_{choice.seed}_{choice.cell_size_mm:g}mm"
-        if not folder.is_dir():
+        folder = out / f"bundle_{'real' if choice.real else choice.seed}_{choice.cell_size_mm:g}mm"
+        if choice.real:
+            made(DATA, choice.cell_size_mm, folder)
+        elif not folder.is_dir():
             bundle, motion = synthesize(choice.seed, None, cell_size_mm=choice.cell_size_mm)
             bundles.save(bundle, folder)
             save_motion(motion, folder)
