@@ -26,8 +26,10 @@ def table(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("table")
 def test_what_was_measured_of_two_kinds_stands_between_their_features() -> None:
     found = correlation(NAMES, np.array([1.0, 2.0, 1.0, -3.0, 90.0, 70.0, 1.0]), 1)
-    assert (found[0, 1], found[0, 2], found[4, 5]) == pytest.approx((0.8, 0.3, 0.6))
-    assert found[0, 3] == pytest.approx(-0.5), "an error that makes |n| larger makes n, which is negative, smaller"
+    assert (found[0, 1], found[0, 2], found[4, 5]) == pytest.approx((0.9 * 0.8, 0.9 * 0.3, 0.9 * 0.6)), (
+        "a tenth goes with nothing"
+    )
+    assert found[0, 3] == pytest.approx(-0.45), "an error that makes |n| larger makes n, which is negative, smaller"
     assert (found[1, 2], found[0, 4]) == pytest.approx((0.0, 0.0)), "two regions at two times, two kinds: not measured"
     assert found[6] == pytest.approx([0, 0, 0, 0, 0, 0, 1]), "what is no feature goes with nothing"
     assert correlation(NAMES, np.ones(7), 2) == pytest.approx(np.eye(7))
@@ -39,7 +41,7 @@ def test_targets_are_widened_by_errors_that_go_together() -> None:
     targets = Targets(NAMES[:3], np.ones(3), np.full(3, 0.1))
     wide = targets.widened({"d_roof_mm@0.1": 0.2, "d_roof_mm@0.2": 0.4}, correlation(NAMES[:3], targets.mean, 1))
     assert wide.covariance is not None
-    assert wide.covariance[0] == pytest.approx([0.05, 0.8 * 0.08, 0.0])  # .01 + .04, .8 x .2 x .4
+    assert wide.covariance[0] == pytest.approx([0.05, 0.72 * 0.08, 0.0])  # .01 + .04, .72 x .2 x .4
     assert wide.own_sd == pytest.approx([0.1, 0.1, 0.1]) and wide.added == pytest.approx([0.2, 0.4, 0.0])
     assert wide.select(NAMES[1:2]).own_sd == pytest.approx([0.1])
     again = wide.widened({"d_roof_mm@0.1": 0.3})
