@@ -2,9 +2,12 @@
 
     python benchmarks/study.py COHORT STUDY
 
-COHORT is what ``lacli synthesize --cohort N --arm ARM`` wrote, STUDY what ``lacli cohort`` made of it. In the heterogeneous arm
-regional stiffness should be preferred, in the others (one stiffness everywhere) it must not be. Exit code 1 where a patient's
-contrast is claimed the wrong way round; coverage is printed beside what is asked (93 to 97 %), with its own standard error.
+COHORT is what ``lacli synthesize --cohort N --arm ARM`` wrote, STUDY what ``lacli cohort`` made of it. In the heterogeneous
+arm regions that vary about a common level (pooled) should be preferred to one stiffness, in the others (one stiffness
+everywhere) they must not be. That regions differ is claimed of a patient where it is strongly preferred, and of the arm by
+the sum of the patients' log evidence. Regional, with a uniform prior on the box for each region, is told beside it: it pays
+for more than moderate differences. Exit code 1 where a contrast is claimed the wrong way round; coverage is printed beside
+what is asked (93 to 97 %), with its own standard error.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ import numpy as np
 import pandas as pd
 
 from lacli.base.documents import read_json
+from lacli.cohort.comparison import GLOBAL, POOLED, REGIONAL, STRONG
 from lacli.synthetic.cohort import PARTICIPANTS, TRUTHS
 
 
@@ -32,15 +36,17 @@ def inside(study: Path, truths: pd.DataFrame) -> pd.DataFrame:
 
 
 def claims(study: Path, patients: list[str]) -> pd.DataFrame:
-    """By patient: log evidence of regional less that of global with its standard error, and the verdict in words."""
+    """By patient: log evidence of pooled, and of regional, less that of global with standard errors; the former's verdict."""
     rows = {}
     for name in patients:
         file = study / name / "comparison.json"
         if file.is_file():
-            # regional is the first model, so that contrasts are of it against the others
-            c = next((c for c in read_json(file)["contrasts"] if (c["model"], c["against"]) == ("regional", "global")), None)
-            if c is not None:
-                rows[name] = {"regional_over_global": c["difference"], "se": c["se"], "verdict": c["verdict"]}
+            pairs = {(c["model"], c["against"]): c for c in read_json(file)["contrasts"]}
+            if (c := pairs.get((POOLED, GLOBAL))) is not None and (other := pairs.get((REGIONAL, GLOBAL))) is not None:
+                rows[name] = {
+                    "pooled_over_global": c["difference"], "se": c["se"], "verdict": c["verdict"],
+                    "regional_over_global": other["difference"], "se_regional": other["se"],
+                }  # fmt: skip
     return pd.DataFrame.from_dict(rows, orient="index")
 
 
@@ -69,12 +75,18 @@ def main() -> int:
         print("no models are compared")
         return 1
     preferred = told[told["verdict"].str.contains("strongly preferred")]
-    claimed = preferred["verdict"].str.startswith("regional")
+    claimed = preferred["verdict"].str.startswith(POOLED)
     wrong = claimed[claimed != (arm == "heterogeneous")]
-    total, error = told["regional_over_global"].sum(), float(np.sqrt((told["se"] ** 2).sum()))
-    print(f"over the patients: log evidence of regional less global {total:.1f} ± {error:.1f}")
     print(f"claims: {len(claimed)} of {len(told)}, the wrong way round: {', '.join(map(str, wrong.index)) or 'none'}")
-    return 1 if len(wrong) else 0
+    for what, of_se in (("pooled", "se"), ("regional", "se_regional")):
+        total, error = told[f"{what}_over_global"].sum(), float(np.sqrt((told[of_se] ** 2).sum()))
+        print(f"over the patients: log evidence of {what} less global {total:.1f} ± {error:.1f}")
+    total, error = told["pooled_over_global"].sum(), float(np.sqrt((told["se"] ** 2).sum()))
+    strong = abs(total) >= STRONG + 2 * error
+    of_arm = "no contrast" if not strong else "regions differ" if total > 0 else "one stiffness"
+    right = of_arm == "regions differ" if arm == "heterogeneous" else of_arm != "regions differ"
+    print(f"claimed of the arm: {of_arm} ({'right' if right else 'not as it is'})")
+    return 1 if len(wrong) or (strong and not right) else 0
 
 
 if __name__ == "__main__":

@@ -37,7 +37,8 @@ def compare(
     progress: OnProgress | None = None,
     cancel: Cancel | None = None,
 ) -> Comparison:
-    """Models of one calibrated patient: each region its own stiffness, one for all, and ``tied``: groups of inputs that are one.
+    """Models of one calibrated patient: each region its own stiffness, one for all, regions that vary about a common level, and
+    ``tied``: groups of inputs that are one.
 
     patient: the folder of a calibration, targets: what it was made to. others: name -> the calibration to the same targets on
     another anatomy, such as one of uniform thickness. Emulators stand for runs: nothing is simulated. particles: of the
@@ -54,9 +55,11 @@ def compare(
     wanted = read_targets(targets)
     regional = read_model(patient, wanted)
     held = held_against(patient, wanted)
+    regions = comparison.tied_regions(regional.box.names)
     models = [
         regional,
-        comparison.Model(comparison.GLOBAL, regional.emulators, regional.box, comparison.tied_regions(regional.box.names)),
+        comparison.Model(comparison.GLOBAL, regional.emulators, regional.box, regions),
+        comparison.Model(comparison.POOLED, regional.emulators, regional.box, regions, spread=True),
     ]
     if tied:
         models.append(comparison.Model("tied", regional.emulators, regional.box, tuple(map(tuple, tied))))

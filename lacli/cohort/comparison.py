@@ -1,8 +1,10 @@
-"""Models of one patient compared: each region its own stiffness, one for all, or any that are tied; and other anatomies.
+"""Models of one patient compared: each region its own stiffness, one for all, regions that vary about a common level, or any that
+are tied; and other anatomies.
 
 All models of one simulator share its emulators: a tied model is the same emulators on a smaller box, so it costs no runs. Told
-are the evidence with a uniform prior on the box, PSIS-LOO over the targets (Vehtari et al. 2017; with correlated errors by the
-conditional densities of Buerkner et al. 2021) with its effective number of parameters, and the misfit of the displacements.
+are the evidence with a uniform prior on the box (of regions about a level: see ``pooling``), PSIS-LOO over the targets (Vehtari
+et al. 2017; with correlated errors by the conditional densities of Buerkner et al. 2021) with its effective number of parameters,
+and the misfit of the displacements.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from lacli.base.arrays import FloatArray
 from lacli.base.errors import UsageError
 from lacli.calibration.sequential.outputs import Features
 from lacli.cohort.evidence import evidence
+from lacli.cohort.pooling import pooled
 from lacli.contracts.labels import BODY_REGIONS
 from lacli.contracts.targets import Targets
 from lacli.inference.box import Box, make_box
@@ -26,7 +29,7 @@ from lacli.inference.emulation.emulator_set import AnyEmulators
 from lacli.inference.sampling.coverage import check_coverage
 from lacli.inference.sampling.likelihood import gaussian_log_likelihood
 
-REGIONAL, GLOBAL = "regional", "global"
+REGIONAL, GLOBAL, POOLED = "regional", "global", "pooled"
 STRONG = 3.0  # of the difference of log evidences: odds of 20 to 1
 _WORST_K = 0.7
 _PARTS = ("alpha", "c")
@@ -34,12 +37,13 @@ _PARTS = ("alpha", "c")
 
 @dataclass(frozen=True)
 class Model:
-    """A model: emulators with their box, and groups of inputs that are one number."""
+    """A model: emulators with their box, and groups of inputs that are one number; with ``spread`` they vary about it."""
 
     name: str
     emulators: AnyEmulators | Features
     box: Box
     tied: tuple[tuple[str, ...], ...] = ()
+    spread: bool = False
 
 
 @dataclass(frozen=True)
@@ -66,7 +70,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class Contrast:
-    """The first model against another: difference of log evidences with its standard error, and what it says."""
+    """A model against another: difference of log evidences with its standard error, and what it says."""
 
     model: str
     against: str
@@ -77,7 +81,8 @@ class Contrast:
 
 @dataclass(frozen=True)
 class Comparison:
-    """All fits, the contrasts of the first model against each other one, warnings in words."""
+    """All fits, the contrasts of the first model against each other one and of a pooled one against the global, warnings in
+    words."""
 
     fits: tuple[Fit, ...]
     contrasts: tuple[Contrast, ...]
@@ -99,13 +104,19 @@ def tied_regions(inputs: Sequence[str]) -> tuple[tuple[str, ...], ...]:
 def compare(
     models: Sequence[Model], targets: Targets, particles: int = 600, seed: int = 0, tick: Callable[[], None] = lambda: None
 ) -> Comparison:
-    """The comparison, the first model against the others. tick: called four times a model. Raises UsageError, LacliError."""
+    """The comparison, the first model against the others, and a pooled one against the global.
+
+    tick: called four times a model. Raises UsageError, LacliError.
+    """
     fits, said = [], []
     for model in models:
         fit, words = _fit(model, targets.select(model.emulators.outputs), particles, seed, tick)
         fits.append(fit)
         said += words
     contrasts = [_contrast(fits[0], other) for other in fits[1:]]
+    named = {fit.name: fit for fit in fits}
+    if POOLED in named and GLOBAL in named:
+        contrasts.append(_contrast(named[POOLED], named[GLOBAL]))
     return Comparison(tuple(fits), tuple(contrasts), tuple(said))
 
 
@@ -136,6 +147,8 @@ def reduced(model: Model) -> tuple[Box, Callable[[FloatArray], FloatArray]]:
         low[group[0]], high[group[0]] = max(low[n] for n in group), min(high[n] for n in group)
         if not low[group[0]] < high[group[0]]:
             raise UsageError(f"compare: the ranges of {', '.join(group)} have nothing in common.")
+    if model.spread:
+        return pooled(model.box, model.tied, [(low[group[0]], high[group[0]]) for group in model.tied])
     column = [free.index(first.get(name, name)) for name in names]
     return make_box(free, [low[n] for n in free], [high[n] for n in free]), lambda x: x[:, column]
 

@@ -142,7 +142,7 @@ def test_a_study_goes_on_and_a_failure_stays_its_own(table: Path) -> None:
     draws = pd.read_csv(study / "draws.csv")
     assert len(draws) == 2 * 5 * 200
     summary = json.loads((study / "summary.json").read_text())
-    assert {m["name"]: m["patients"] for m in summary["models"]} == {"regional": 2, "global": 2}
+    assert {m["name"]: m["patients"] for m in summary["models"]} == {"regional": 2, "global": 2, "pooled": 2}
     assert any("thickness_mm" in note for note in summary["notes"])
     # mended, it goes on; what was done is not done again
     before = (study / "sub-1" / "calibration" / "result.json").stat().st_mtime_ns

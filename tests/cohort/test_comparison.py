@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal, norm
+from scipy.stats import multivariate_normal, norm, truncnorm
 
 from lacli.base.errors import UsageError
-from lacli.cohort.comparison import GLOBAL, REGIONAL, Model, compare, pointwise_log_likelihood, reduced, tied_regions
+from lacli.cohort import pooling
+from lacli.cohort.comparison import GLOBAL, POOLED, REGIONAL, Model, compare, pointwise_log_likelihood, reduced, tied_regions
 from lacli.cohort.evidence import evidence
 from lacli.contracts.labels import BODY_REGIONS
 from lacli.contracts.tables.table import RunTable
@@ -108,3 +109,54 @@ def test_pointwise_densities_with_and_without_correlation() -> None:
     assert pointwise_log_likelihood(mean, variance, diagonal) == pytest.approx(
         pointwise_log_likelihood(mean, variance, Targets(("a", "b", "c"), target, np.ones(3)))
     )
+
+
+def _pooled_log_evidence(alpha: np.ndarray, sd: float) -> float:
+    """By quadrature: regions' likelihoods are normal in alpha with this sd; level 0.5 to 4 and spread 0 to 1, both uniform."""
+    grid = np.linspace(0.5, 4.0, 700)  # of each region's alpha
+    step = grid[1] - grid[0]
+    likelihood = norm.pdf(alpha[:, None], grid, sd)
+    total = []
+    for level in np.linspace(0.5, 4.0, 71):
+        for spread in np.linspace(0.0125, 0.9875, 40):
+            ends = np.log(np.array([0.5, 4.0]) / level) / spread
+            prior = truncnorm.pdf(np.log(grid), *ends, loc=np.log(level), scale=spread) / grid
+            prior /= prior.sum() * step
+            total.append(np.prod((likelihood * prior).sum(axis=1) * step))
+    return float(np.log(np.mean(total)))
+
+
+def test_regions_about_a_level_have_their_evidence(model: Model) -> None:
+    pooled = Model(POOLED, model.emulators, model.box, tied_regions(NAMES), spread=True)
+    one = Model(GLOBAL, model.emulators, model.box, tied_regions(NAMES))
+    truth = np.array([1.0, 1.2, 1.5, 2.0, 1.4])  # a spread of the logarithms of .25
+    targets = _targets(truth, 0.3)
+    found = compare([model, one, pooled], targets, particles=400)
+    fit = found.fits[2]
+    # as densities of the targets, in mm; their sd is .15 in alpha
+    asked = _pooled_log_evidence((10 - targets.mean) / GAIN, 0.3 / GAIN) - 5 * math.log(GAIN)
+    assert fit.log_evidence == pytest.approx(asked, abs=max(4 * fit.log_evidence_se, 0.3))
+    assert fit.free == 7  # level, spread, five places
+    assert fit.log_evidence > found.fits[0].log_evidence + 1, "a uniform prior pays for more than moderate differences"
+    assert (found.contrasts[-1].model, found.contrasts[-1].against) == (POOLED, GLOBAL)
+
+
+def test_regions_about_a_level_are_the_global_model_where_they_do_not_spread(model: Model) -> None:
+    one = Model(GLOBAL, model.emulators, model.box, tied_regions(NAMES))
+    pooled = Model(POOLED, model.emulators, model.box, tied_regions(NAMES), spread=True)
+    box, lift = reduced(pooled)
+    assert box.names[:3] == ("level.alpha_anterior", "spread.alpha_anterior", "place.alpha_anterior")
+    assert lift(np.array([[1.7, 0.0, 0.1, 0.3, 0.5, 0.7, 0.9]])) == pytest.approx(np.full((1, 5), 1.7), rel=1e-4)
+    # the ends of the places are those of the box; the middle is the level where the box goes as far up as down
+    ends = lift(np.array([[math.sqrt(2.0), 0.8, 0.0, 1.0, 0.5, 0.0, 1.0]]))
+    assert ends == pytest.approx(np.array([[0.5, 4.0, math.sqrt(2.0), 0.5, 4.0]]))
+    found = compare([model, one, pooled], _targets(np.full(5, 2.0), 0.5), particles=300)
+    assert "pooled" not in found.contrasts[-1].verdict
+    assert found.fits[0].log_evidence < found.fits[2].log_evidence < found.fits[1].log_evidence + 0.5
+
+
+def test_pressures_keep_their_order_beside_regions_about_a_level() -> None:
+    box = make_box(("edp_mmhg", "alpha_roof", "esp_mmhg", "alpha_septum"), [2, 0.5, 5, 0.5], [12, 4, 30, 4])
+    wide, lift = pooling.pooled(box, (("alpha_roof", "alpha_septum"),), [(0.5, 4.0)])
+    assert wide.names[:2] == ("edp_mmhg", "esp_mmhg") and wide.ordered == ((0, 1),)
+    assert lift(np.array([[6.0, 20.0, 1.5, 0.0, 0.5, 0.5]])) == pytest.approx(np.array([[6.0, 1.5, 20.0, 1.5]]), rel=1e-4)

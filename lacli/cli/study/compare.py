@@ -37,7 +37,8 @@ def command(
 ) -> None:
     """Regional against global stiffness, tied inputs, other anatomies: evidence, PSIS-LOO and misfit, with their errors.
 
-    The models share the calibration's emulators: nothing is simulated.
+    "pooled" lets the regions vary about a common level by as much as the targets ask for: against "global" it tells whether
+    they differ at all. The models share the calibration's emulators: nothing is simulated.
 
     Example: lacli compare patient_1 --targets targets.toml --other uniform=patient_1_uniform
     """
