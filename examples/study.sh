@@ -2,7 +2,7 @@
 # A whole study of synthetic patients whose truth is known, from the cohort to the report:
 #   bash examples/study.sh [RESULTS_FOLDER [PATIENTS]]
 # PATIENTS in each arm: 3, or 10 as in the published study. From the environment: ARMS ("heterogeneous"; all three are
-# "heterogeneous control thickness"), CELL_MM (8), TARGETS (published; motion: 27 of them), SETTINGS (study.toml beside
+# "heterogeneous control thickness"), CELL_MM (8), TARGETS (published; motion: 27, course: 90), SETTINGS (study.toml beside
 # this file). Three patients take about 6 CPU minutes.
 # Started again it goes on where it was.
 set -euo pipefail

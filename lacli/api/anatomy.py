@@ -132,8 +132,9 @@ def synthesize(
     motion_blur the exposure as a fraction of the RR interval, contrast_drift_hu the blood's fall over the cycle, heart_rate
     in beats per minute, parameters known ones by name with unit. arm: a cohort for ``lacli cohort`` instead, its targets
     simulated on a finer mesh at drawn parameters: ``heterogeneous`` (every region its own stiffness), ``control`` (one
-    everywhere), ``thickness`` (one, in a wall of varying thickness); targets: ``published``, or ``motion``, which adds the
-    components of the displacement and the area strain of each region. A folder that was made from the same is kept.
+    everywhere), ``thickness`` (one, in a wall of varying thickness); targets: ``published``; ``motion``, which adds the
+    components of the displacement and the area strain of each region; or ``course``, which adds three frames before
+    end-systole. A folder that was made from the same is kept.
     Raises UsageError, AnatomyError (a folder holds something else), StorageError, Cancelled.
     """
     from lacli.base.files import check_folder

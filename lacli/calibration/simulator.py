@@ -109,6 +109,7 @@ def times_of(names: Sequence[str]) -> tuple[float, ...]:
 
 def _outcome(result: RunResult, errors: dict[str, float], framed: bool) -> Outcome:
     from lacli.inference.runs import Outcome
+    from lacli.mechanics.results import features_at_times
     from lacli.mechanics.sensitivities import load_sensitivities
 
     features = result.features if result.status == "done" else {}
@@ -117,7 +118,7 @@ def _outcome(result: RunResult, errors: dict[str, float], framed: bool) -> Outco
     if features:
         es = None
         if framed:
-            of_frames, es = _frames(result.folder)
+            of_frames, es = features_at_times(result.folder)
             outputs |= of_frames
         if (table := load_sensitivities(result.folder)) is not None:
             gradients = {
@@ -137,16 +138,6 @@ def _outcome(result: RunResult, errors: dict[str, float], framed: bool) -> Outco
         int(result.manifest.get("attempts") or 1),
         gradients,
     )
-
-
-def _frames(folder: Path) -> tuple[dict[str, float], float]:
-    """Features at each time of a run's transients by name, ``<key>@<time>``, and the time of end-systole."""
-    import pandas as pd
-
-    table = pd.read_csv(folder / "transients.csv")
-    found = {at_time(key, float(row["time"])): float(row[key]) for row in table.to_dict("records") for key in KEYS if key in row}
-    reservoir = table.loc[table["phase"] == "reservoir", "time"]
-    return found, float(reservoir.max())
 
 
 def _also(name: str, es: float | None) -> list[str]:

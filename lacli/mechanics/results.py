@@ -17,6 +17,7 @@ from lacli.base.errors import SimulationError
 from lacli.base.files import write_text
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.case import Case
+from lacli.contracts.features import KEYS, at_time
 from lacli.contracts.sections import MMHG_KPA
 from lacli.freefem.files import read_history, read_state
 from lacli.mechanics.features import cell_gradient, regional_extras
@@ -33,6 +34,9 @@ class State:
     reference: FloatArray
     pressure: float
     min_jacobian: float
+
+
+TRANSIENTS = "transients.csv"
 
 
 @dataclass(frozen=True)
@@ -146,6 +150,14 @@ def transients(case: Case, results: Results) -> pd.DataFrame:
             }
         )
     return pd.DataFrame(rows)
+
+
+def features_at_times(folder: Path) -> tuple[dict[str, float], float]:
+    """Features at each time of a stored run's transients by name, ``<key>@<time>``, and end-systole's (fractions of RR)."""
+    table = pd.read_csv(folder / TRANSIENTS)
+    found = {at_time(key, float(row["time"])): float(row[key]) for row in table.to_dict("records") for key in KEYS if key in row}
+    reservoir = table.loc[table["phase"] == "reservoir", "time"]
+    return found, float(reservoir.max())
 
 
 def write_fields(case: Case, results: Results, folder: Path) -> list[str]:

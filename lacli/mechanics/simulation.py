@@ -23,7 +23,7 @@ from lacli.mechanics.plan import prepare
 from lacli.mechanics.store import OpenRun, StoredRun, check_products, open_run
 
 _WRITTEN = "deck.json"  # the key of a deck that is run by hand
-_PRODUCTS = (deck.SCENE, deck.SCRIPT, "features.json", "transients.csv")
+_PRODUCTS = (deck.SCENE, deck.SCRIPT, "features.json", results.TRANSIENTS)
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def collect(case: Case, folder: Path, **cost: float) -> tuple[dict[str, Any], li
     if said := sensitivities.statement(case, found):
         features["sensitivities"] = said
     write_json(folder / "features.json", features)
-    results.transients(case, found).to_csv(folder / "transients.csv", index=False)
+    results.transients(case, found).to_csv(folder / results.TRANSIENTS, index=False)
     return features, [*products, *results.write_fields(case, found, folder)]
 
 

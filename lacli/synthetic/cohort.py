@@ -21,10 +21,12 @@ from lacli.base.documents import read_json
 from lacli.base.errors import AnatomyError, LacliError
 from lacli.base.files import replacing, write_json, write_text
 from lacli.contracts.bundle import Bundle, check, load, save
+from lacli.contracts.features import at_time, parse
 from lacli.contracts.labels import BODY_REGIONS
 from lacli.contracts.motion import Motion, save_motion
 from lacli.contracts.scene import build_scene, dump_scene, with_parameters
 from lacli.contracts.targets import Targets, write_targets
+from lacli.mechanics.results import features_at_times
 from lacli.mechanics.simulation import run_scene
 from lacli.synthetic import kept
 from lacli.synthetic.atrium import synthesize
@@ -34,9 +36,16 @@ Arm = Literal["heterogeneous", "control", "thickness"]
 ARMS: tuple[Arm, ...] = get_args(Arm)
 DESCRIPTION, PARTICIPANTS, SCENE, TRUTHS = "patient.json", "participants.csv", "scene.toml", "truths.csv"
 FEATURES = ("esv_ml", "d_global_mm", *(f"d_{region}_mm" for region in BODY_REGIONS))
-# what the targets are: those of the published calibration, or what a tracked motion tells of each region beside them
+# what the targets are: those of the published calibration, what a tracked motion tells of each region at end-systole beside them,
+# or that in frames of the reservoir phase too
 _PARTS = ("n_{}_mm", "a_{}_mm", "b_{}_mm", "area_strain_{}")
-TARGETS = {"published": FEATURES, "motion": (*FEATURES, *(part.format(r) for part in _PARTS for r in BODY_REGIONS))}
+_MOTION = tuple(part.format(r) for part in _PARTS for r in BODY_REGIONS)
+FRAMES = (0.1, 0.2, 0.3)  # fractions of RR; end-systole is at .4
+TARGETS = {
+    "published": FEATURES,
+    "motion": (*FEATURES, *_MOTION),
+    "course": (*FEATURES, *_MOTION, *(at_time(key, t) for t in FRAMES for key in ("volume_ml", *_MOTION))),
+}
 FINER = 0.7  # edge length of the truth's cells over the calibration's; the truth's are quadratic as well
 # errors of the targets (sd): those of displacements and volume at end-systole as tracking a CT of 1.5 mm has them
 # (benchmarks/track.py); for the errors that registration really makes, image the atria (--gated)
@@ -146,14 +155,18 @@ def _write(folder: Path, seed: int, arm: Arm, atrium: dict[str, Any], names: tup
     parameters = drawn_parameters(seed, arm)
     fine = {**atrium, "cell_size_mm": FINER * atrium["cell_size_mm"], "order": 2}
     _save(*synthesize(seed, **fine, wall=wall), folder / "truth_bundle")
+    outputs: dict[str, Any] = {"frames": 0, "fields": "none"}
+    if any("@" in name for name in names):
+        outputs = {"times": FRAMES, "fields": "none"}
     scene = build_scene(
-        {"anatomy": {"bundle": "truth_bundle"}, "numerics": {"order": 2}, "outputs": {"frames": 0, "fields": "none"}},
+        {"anatomy": {"bundle": "truth_bundle"}, "numerics": {"order": 2}, "outputs": outputs},
         [], folder=folder.absolute(), where="the synthetic cohort",
     )  # fmt: skip
     result = run_scene(with_parameters(scene, parameters), folder / "runs")
     if result.status != "done":
         raise LacliError(f"{folder.name}: the simulation of the truth failed ({result.kind}): {result.message}")
-    features = {name: float(result.features[name]) for name in (*names, "edv_ml")}
+    told = {**result.features, **features_at_times(result.folder)[0]}
+    features = {name: float(told[name]) for name in (*names, "edv_ml")}
     for scrap in ("runs", "truth_bundle"):
         shutil.rmtree(folder / scrap)
     _save(*synthesize(seed, **atrium, wall=wall), folder / "bundle")
@@ -177,7 +190,7 @@ def _save(bundle: Bundle, motion: Motion, folder: Path) -> None:
 def _targets(file: Path, features: Mapping[str, float], names: tuple[str, ...], seed: int) -> None:
     """The truth's features with errors drawn."""
     true = np.array([features[name] for name in names])
-    other = {"esv_ml": SD_VOLUME * features["edv_ml"]}
-    sd = np.array([SD_MM if name.endswith("_mm") else other.get(name, SD_STRAIN) for name in names])
+    of_unit = {"mm": SD_MM, "mL": SD_VOLUME * features["edv_ml"], "": SD_STRAIN}
+    sd = np.array([of_unit[parse(name)[0].unit] for name in names])
     noise = np.random.default_rng([_STREAM, seed, 2]).standard_normal(len(true))
     write_targets(file, Targets(names, true + sd * noise, sd))

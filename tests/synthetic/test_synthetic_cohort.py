@@ -42,7 +42,7 @@ def test_the_wall_is_thin_here_and_thick_there() -> None:
 def test_what_cannot_be_made_is_told_first(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="one of heterogeneous, control, thickness"):
         anatomy.synthesize(tmp_path / "c", cohort=2, arm="regional")
-    with pytest.raises(UsageError, match="one of published, motion"):
+    with pytest.raises(UsageError, match="one of published, motion, course"):
         anatomy.synthesize(tmp_path / "c", cohort=2, arm="control", targets="all")
     with pytest.raises(UsageError, match="--cohort how many"):
         anatomy.synthesize(tmp_path / "c", arm="control")
@@ -91,3 +91,11 @@ def test_targets_of_motion_have_the_published_ones_first(tmp_path: Path) -> None
     assert len(many.names) == 7 + 4 * 5 and many.sd[many.names.index("area_strain_roof")] == cohort.SD_STRAIN
     with pytest.raises(AnatomyError, match="other options"):
         anatomy.synthesize(tmp_path / "p", targets="motion", **options)  # type: ignore[arg-type]
+    anatomy.synthesize(tmp_path / "c", targets="course", **options)  # type: ignore[arg-type]
+    most = read_targets(tmp_path / "c" / "sub-01" / "targets.toml")
+    # 21 features in three frames beside the 27 at end-systole
+    assert most.names[:27] == many.names and len(most.names) == 27 + 3 * 21
+    truth = json.loads((tmp_path / "c" / "sub-01" / "truth.json").read_text())["features"]
+    volumes = [truth[name] for name in ("edv_ml", "volume_ml@0.1", "volume_ml@0.2", "volume_ml@0.3", "esv_ml")]
+    assert volumes == sorted(volumes), "the atrium fills"
+    assert most.sd[most.names.index("volume_ml@0.2")] == pytest.approx(0.01 * truth["edv_ml"])

@@ -51,7 +51,10 @@ def command(
     ] = None,
     targets: Annotated[
         str,
-        typer.Option(help="With --arm: published (7 targets), or motion: also components and area strain of each region (27)."),
+        typer.Option(
+            help="With --arm: published (7 targets); motion: also components and area strain of each region (27); course: these"
+            " and volumes in three frames of the reservoir phase too (90)."
+        ),
     ] = "published",
     as_json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
 ) -> None:
