@@ -33,6 +33,7 @@ from lacli.cohort.gallery import atria, with_fibrillation
 from lacli.contracts.tables.file import read_frame
 from lacli.report.cohort_figures import courses_figure, gallery_figure, influence_figure, regions_figure, scatter_figure
 from lacli.report.page.document import Figure, Page, Section, Table, number, picture
+from lacli.report.page.methods import of_study
 from lacli.report.page.run import closing
 
 _FORMATS = ("png", "pdf", "svg")
@@ -53,16 +54,10 @@ def study_page(study: Path, pictures: Path) -> Page:
     parts = (_anatomies(study, pictures), _influences(study, pictures), _fits(study, pictures))
     sections += [section for section in parts if section is not None]
     sections += _answers(study, pictures)
-    sections.append(closing(_METHODS, [], {"versions": {"lacli": __version__}}))
+    text, cited = of_study(__version__, [str(model["name"]) for model in summary["models"]])
+    sections.append(closing(text, cited, {"versions": {"lacli": __version__}}))
     lead = f"{summary['done']} of {summary['patients']} participants done."
     return Page("A study of left atria", lead, tuple(sections))
-
-
-_METHODS = (
-    f"Statistics by lacli {__version__}: paired t-tests between regions with Bonferroni's and Holm's correction; mixed models"
-    " with the region as factor and a random intercept a patient, by REML; the error of posterior means carried by a structural"
-    " errors-in-variables model where they are predictors, and as a known variance where they are responses."
-)
 
 
 def _patients(study: Path, notes: list[str]) -> Section:
@@ -135,8 +130,9 @@ def _influences(study: Path, pictures: Path) -> Section | None:
     cells = tuple((name, number(of_all, 2), number(most, 2)) for name, of_all, most in ranking)
     table = Table("Ranking", ("input", "mean share", "largest share"), cells)
     count = len({row["participant_id"] for row in rows})
+    mean = f"mean over {count} patients" if count > 1 else "of one patient"
     said = (
-        f"To first order about each patient's most probable point, under the prior; mean over {count} patients."
+        f"To first order about each patient's most probable point, under the prior; {mean}."
         " In colour: the inputs that together make 90 % of a feature's variance.",
     )
     figure = picture(files[0], "Share of each feature's variance by input (%, where 5 or more).")

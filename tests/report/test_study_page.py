@@ -36,6 +36,7 @@ def test_the_page_of_a_study(tmp_path: Path) -> None:
     assert "&lt;i&gt;a note" in text and "6 of 6 participants done" in text
     assert text.count("<img") == 3  # displacement and stiffness by region, one against the other
     assert "structural" in text and "circular" in text
+    assert "@article{Holm1979," in text and "DelMoral2006" not in text  # no models are compared
     assert "d_mm ~ region + predictor" in text and "alpha ~ region" not in text  # the thickness is one number
     assert {f.name for f in made.figures.glob("d_mm*")} == {
         f"{n}.{s}" for n in ("d_mm", "d_mm_alpha") for s in ("png", "pdf", "svg")

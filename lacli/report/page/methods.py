@@ -2,11 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from lacli.contracts.scene import Scene
 from lacli.report.page.references import SHORT
+
+
+def of_study(version: str, models: Sequence[str]) -> tuple[str, list[str]]:
+    """The paragraph on statistics over patients, and the keys that it cites. models: the names of those compared."""
+    words = [
+        f"Statistics by lacli {version}: paired t-tests between regions with Bonferroni's and Holm's correction"
+        f" ({SHORT['Holm1979']}); mixed models with the region as factor and a random intercept a patient, by REML"
+        f" ({SHORT['Lindstrom1988']}); the error of posterior means carried by a structural errors-in-variables model where they"
+        f" are predictors (its estimate without the bias of first order, {SHORT['Firth1993']}), and as a known variance where"
+        " they are responses."
+    ]
+    keys = ["Holm1979", "Lindstrom1988", "Firth1993"]
+    if models:
+        words.append(
+            f"Models of each patient ({', '.join(models)}) were compared on its emulators by evidence from sequential Monte Carlo"
+            f" ({SHORT['DelMoral2006']}) and by PSIS-LOO ({SHORT['Vehtari2017']})."
+        )
+        keys += ["DelMoral2006", "Vehtari2017"]
+    if "pooled" in models:
+        words.append(
+            "In the pooled model the regions vary about a common level by a standard deviation that is itself not known"
+            f" ({SHORT['Gelman2006']})."
+        )
+        keys.append("Gelman2006")
+    return " ".join(words), keys
 
 
 def of_run(scene: Scene, versions: Mapping[str, Any]) -> tuple[str, list[str]]:

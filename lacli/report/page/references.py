@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 def _article(key: str, author: str, title: str, journal: str, year: int, where: str, doi: str) -> str:
     fields = {"author": author, "title": f"{{{title}}}", "journal": journal, "year": str(year), "pages": where, "doi": doi}
-    return f"@article{{{key},\n" + ",\n".join(f"  {name} = {{{value}}}" for name, value in fields.items()) + "\n}"
+    return f"@article{{{key},\n" + ",\n".join(f"  {name} = {{{value}}}" for name, value in fields.items() if value) + "\n}"
 
 
 _ENTRIES = {
@@ -52,6 +52,31 @@ _ENTRIES = {
         "Bayesian design and analysis of computer experiments: use of derivatives in surface prediction", "Technometrics", 1993,
         "243--255", "10.1080/00401706.1993.10485320",
     ),
+    "Holm1979": (
+        "Holm, S.", "A simple sequentially rejective multiple test procedure", "Scandinavian Journal of Statistics", 1979,
+        "65--70", "",
+    ),
+    "Lindstrom1988": (
+        "Lindstrom, M. J. and Bates, D. M.",
+        "Newton-Raphson and EM algorithms for linear mixed-effects models for repeated-measures data",
+        "Journal of the American Statistical Association", 1988, "1014--1022", "10.1080/01621459.1988.10478693",
+    ),
+    "Firth1993": (
+        "Firth, D.", "Bias reduction of maximum likelihood estimates", "Biometrika", 1993, "27--38", "10.1093/biomet/80.1.27",
+    ),
+    "DelMoral2006": (
+        "Del Moral, P. and Doucet, A. and Jasra, A.", "Sequential Monte Carlo samplers",
+        "Journal of the Royal Statistical Society: Series B", 2006, "411--436", "10.1111/j.1467-9868.2006.00553.x",
+    ),
+    "Gelman2006": (
+        "Gelman, A.", "Prior distributions for variance parameters in hierarchical models", "Bayesian Analysis", 2006,
+        "515--534", "10.1214/06-BA117A",
+    ),
+    "Vehtari2017": (
+        "Vehtari, A. and Gelman, A. and Gabry, J.",
+        "Practical Bayesian model evaluation using leave-one-out cross-validation and WAIC", "Statistics and Computing", 2017,
+        "1413--1432", "10.1007/s11222-016-9696-4",
+    ),
 }  # fmt: skip
 SHORT = {
     "Hecht2012": "Hecht 2012",
@@ -63,6 +88,12 @@ SHORT = {
     "Marquardt1963": "Marquardt 1963",
     "Kennedy2000": "Kennedy and O'Hagan 2000",
     "Morris1993": "Morris et al. 1993",
+    "Holm1979": "Holm 1979",
+    "Lindstrom1988": "Lindstrom and Bates 1988",
+    "Firth1993": "Firth 1993",
+    "DelMoral2006": "Del Moral et al. 2006",
+    "Gelman2006": "Gelman 2006",
+    "Vehtari2017": "Vehtari et al. 2017",
     "lacli": "lacli",
 }
 
