@@ -56,6 +56,8 @@ def patient(folder: Path, seed: int, arguments: argparse.Namespace) -> dict[str,
     row |= {"peak_mb": tracked.info["peak_memory_mb"], "between": tracked.model.between}
     row |= volume_error(tracked, folder)
     row["z"] = standardised(found, folder)
+    off = np.array([row["z"][name] for name in found.targets.names]) * found.targets.sd
+    row["chi2"] = float(off @ np.linalg.solve(found.covariance, off)) / len(off)
     return row
 
 
@@ -124,6 +126,7 @@ def table(rows: list[dict[str, Any]]) -> None:
         ("  tangential, mm", "<= 0.3", f"{over('es_tangential', np.mean):.3f} / {over('es_tangential'):.3f}"),
         ("worst frame's mean error, mm", "<= 0.25 at 0.45 mm", f"{over('worst', np.mean):.3f} / {over('worst'):.3f}"),
         ("regional targets within 2 sd", "93 - 97 %", f"{100 * inside:.1f} %"),
+        ("chi^2 of all targets over their number", "1", f"{over('chi2', np.mean):.2f} / {over('chi2'):.2f}"),
         ("volume transient, rms / largest, % of EDV", "<= 1", f"{100 * over('volume_rms'):.2f} / {100 * over('volume_max'):.2f}"),
         ("CPU s / peak MB of an engine", "<= 300 / 3000 at 0.45 mm", f"{over('cpu_s'):.0f} / {over('peak_mb'):.0f}"),
         ("true over stated error, normal (mean)", "1", f"{over('true_over_stated_normal', np.mean):.2f}"),

@@ -31,6 +31,9 @@ EASIER = (1.9, 1.4)
 _UNCORRELATED = 0.02
 _WINDOW = 5  # voxels of the local mean and variance
 _PRIOR_SAMPLES = 8.0
+# motions' worth of independence: few motions do not tell what combinations of errors are impossible (a correlation drawn towards
+# independence, as Schaefer, Strimmer 2005, Stat Appl Genet Mol Biol 4:32; figures in docs/methods.md)
+_APART = 2.0
 
 
 @dataclass(frozen=True)
@@ -199,7 +202,8 @@ def error_model(errors: Sequence[Mapping[str, float]], changes: Sequence[Mapping
             first, second = sorted((a, b))
             label[i, j] = (first, second, r == s or not r or not s)
             groups.setdefault(label[i, j], []).append(float(product[i, j]))
-    mean = {group: float(np.clip(np.mean(values), -0.98, 0.98)) for group, values in groups.items()}
+    kept = len(e) / (len(e) + _APART)
+    mean = {group: kept * float(np.clip(np.mean(values), -0.98, 0.98)) for group, values in groups.items()}
     correlation = np.eye(len(keys))
     for (i, j), group in label.items():
         correlation[i, j] = mean[group]
