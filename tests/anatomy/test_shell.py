@@ -83,6 +83,16 @@ def test_the_wall_stops_where_two_sides_meet() -> None:
     assert bundle.info["shell"]["thinned_share"] > 0
 
 
+def test_straightening_one_cell_folds_none_beside_it() -> None:
+    ball = icosphere(RADIUS, 4)
+    bumps = 0.9 * np.random.default_rng(0).normal(size=(len(ball.points), 1))
+    rough = Surface(ball.points * (1 + bumps / RADIUS), ball.triangles, ball.label)
+    bundle = mesh_shell(rough, 0.5, 6.0)
+    assert bundle.info["shell"]["straightened_edges"] > 100
+    # 1 in a straight cell; MIN_JACOBIAN in the others
+    assert cells.curved_jacobian(bundle.points, bundle.tets).min() >= 0.2
+
+
 def test_an_outer_surface_replaces_the_thickness() -> None:
     ball = icosphere(RADIUS, 4)
     outer = icosphere(RADIUS + 3.0, 4)

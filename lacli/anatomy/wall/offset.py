@@ -54,7 +54,7 @@ def offset_surface(
     if outer is not None:
         nominal = _reach(surface.points, nominal, outer, sides)
     vector = _clear(surface.points, nominal, reference, asked)
-    vector, starts = _untangle(surface, edges, vector, layers)
+    vector, starts = untangle(surface, edges, vector, layers)
     length, wanted = np.linalg.norm(vector, axis=1), np.linalg.norm(nominal, axis=1)
     ratio = length / wanted
     turned = np.einsum("ij,ij->i", vector, nominal) / (length * wanted) < 0.999
@@ -130,7 +130,7 @@ def _clear(points: FloatArray, vector: FloatArray, reference: Reference, thickne
     return scale[:, None] * vector
 
 
-def _untangle(surface: Surface, edges: IntArray, vector: FloatArray, layers: int) -> tuple[FloatArray, np.ndarray]:
+def untangle(surface: Surface, edges: IntArray, vector: FloatArray, layers: int) -> tuple[FloatArray, np.ndarray]:
     """Vectors evened out with their neighbours' where the cells between are poor, and shortened where that is not enough."""
     n = len(surface.points)
     bottom, top = surface.triangles, surface.triangles + n
@@ -154,8 +154,12 @@ def _untangle(surface: Surface, edges: IntArray, vector: FloatArray, layers: int
             best, best_score = (vector, starts, fair), score
         if not poor.any():
             return vector, starts
-        bad = np.zeros(n)
+        bad, steep, tangled = np.zeros(n), np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
         bad[np.unique(tets[poor] % n)] = 1.0
+        # a wall that is flat for its cells is no better thinner: only what is inverted gives way there
+        crowded = (fair >= GOOD) | (quality <= 0)
+        steep[np.unique(tets[poor & crowded] % n)] = True
+        tangled[np.unique(tets[(quality < 0.25 * fair) & crowded] % n)] = True
         total = np.zeros_like(vector)
         np.add.at(total, edges[:, 0], vector[edges[:, 1]])
         np.add.at(total, edges[:, 1], vector[edges[:, 0]])
@@ -163,12 +167,17 @@ def _untangle(surface: Surface, edges: IntArray, vector: FloatArray, layers: int
         keep = np.where(on_rim, 0.2, 0.5)[:, None] * bad[:, None]
         mixed = (1 - keep) * vector + keep * mean
         size = np.linalg.norm(mixed, axis=1)
-        goal = (1 - keep[:, 0]) * np.linalg.norm(vector, axis=1) + keep[:, 0] * np.linalg.norm(total, axis=1) / degree[:, 0]
-        goal = np.where(bad > 0, goal * (0.97 if step > 8 else 1.0), goal)
+        length = np.linalg.norm(vector, axis=1)
+        around = np.zeros(n)
+        np.add.at(around, edges[:, 0], length[edges[:, 1]])
+        np.add.at(around, edges[:, 1], length[edges[:, 0]])
+        # the mean vector is shorter than its parts where they spread: room for cells that are crowded, no more
+        goal = (1 - keep[:, 0]) * length + keep[:, 0] * np.where(steep, np.linalg.norm(total, axis=1), around) / degree[:, 0]
+        goal = np.where(steep, goal * (0.97 if step > 8 else 1.0), goal)
         if step > 4:  # what is still poor turns towards the triangle it sees worst, and gives way if inverted
             mixed += 0.15 * (bad * goal)[:, None] * _worst_seen(surface, mixed)
             size = np.linalg.norm(mixed, axis=1)
-            goal[np.unique(tets[quality < 0.05] % n)] *= 0.93
+            goal[tangled] *= 0.93
         vector = mixed * (goal / np.maximum(size, 1e-12))[:, None]
     vector, starts, fair = best
     return polish(surface.points, vector, bottom, starts, fair * 1.02, layers), starts

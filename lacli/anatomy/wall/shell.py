@@ -156,8 +156,13 @@ def _curve(
         if not folded.any():
             break
         factor[np.unique(of_cell[folded])] *= 0.6
-    else:
+    while folded.any():  # straight cells do not fold, but a cell beside one that was straightened may
+        bent = factor[of_cell[folded]] > 0
+        if not bent.any():
+            break
         factor[np.unique(of_cell[folded])] = 0.0
+        nodes = np.vstack([points, chord + factor[:, None] * bend])
+        folded = curved_jacobian(nodes, numbered) < MIN_JACOBIAN
     nodes = np.vstack([points, chord + factor[:, None] * bend])
     size = total
     keys = all_edges[:, 0] * size + all_edges[:, 1]
