@@ -11,6 +11,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from lacli.cli.study.cohort import _check_options
+
 ROOT = Path(__file__).resolve().parents[2]
 INSTALLED = """
 ROOT="{root}"
@@ -22,20 +24,20 @@ install_lacli() {{ :; }}
 """
 
 
-def call(tmp_path: Path, *words: str) -> subprocess.CompletedProcess[str]:
+def call(tmp_path: Path, *words: str, script: str = "study.sh", lacli: str = "") -> subprocess.CompletedProcess[str]:
     home, programs = tmp_path / "examples", tmp_path / "bin"
     for folder in (home, programs):
         folder.mkdir(exist_ok=True)
-    shutil.copy(ROOT / "examples" / "study.sh", home)
+    shutil.copy(ROOT / "examples" / script, home)
     (home / "install.sh").write_text(INSTALLED.format(root=ROOT, bin=programs, python=sys.executable))
-    (programs / "lacli").write_text(f'#!/bin/bash\nexec "{sys.executable}" -m lacli "$@"\n')
+    (programs / "lacli").write_text(lacli or f'#!/bin/bash\nexec "{sys.executable}" -m lacli "$@"\n')
     (programs / "lacli").chmod(0o755)
     settings = tmp_path / "settings.toml"
     settings.write_text("[calibrate]\nmax-runs = 24\ness = 200\nfigures = false\n[compare]\nparticles = 150\n")
     paths = os.pathsep.join(p for p in (str(ROOT), os.environ.get("PYTHONPATH", "")) if p)
     environment = {**os.environ, "PYTHONPATH": paths, "CELL_MM": "10", "SETTINGS": str(settings)}
     return subprocess.run(
-        ["bash", str(home / "study.sh"), *words], env=environment, capture_output=True, text=True, check=False, timeout=1500
+        ["bash", str(home / script), *words], env=environment, capture_output=True, text=True, check=False, timeout=1500
     )
 
 
@@ -59,6 +61,36 @@ def test_the_study_ends_with_a_report_and_goes_on(tmp_path: Path) -> None:
     assert {file: file.stat().st_mtime_ns for file in made} == made, "found, not done again"
 
 
-def test_the_number_of_patients_is_a_number(tmp_path: Path) -> None:
-    told = call(tmp_path, str(tmp_path / "results"), "many")
+@pytest.mark.parametrize("script", ["study.sh", "gated.sh"])
+def test_the_number_of_patients_is_a_number(tmp_path: Path, script: str) -> None:
+    told = call(tmp_path, str(tmp_path / "results"), "many", script=script)
     assert told.returncode == 1 and told.stderr == "lacli: many patients; a whole number, 1 or more.\n"
+
+
+# says what it is called with, and leaves what the script itself reads of it
+STAND_IN = """#!/bin/bash
+printf '%s\\n' "$*" >>"$(dirname "$0")/calls"
+for word in "$@"; do
+  [ "$word" = --gated ] && mkdir -p "$2/truth" && echo '{"alpha_roof": 1.5}' >"$2/truth/parameters.json"
+done
+exit 0
+"""
+
+
+def test_the_study_from_images_hands_each_patient_s_images_on(tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    told = call(tmp_path, str(results), "2", script="gated.sh", lacli=STAND_IN)
+    # the stand-in calibrates nobody: that is told at the end, after the page
+    assert told.returncode == 1 and "no patient is done" in told.stdout, told.stdout + told.stderr
+    calls = (tmp_path / "bin" / "calls").read_text().splitlines()
+    assert [line.split()[0] for line in calls] == [*["synthesize"] * 4, "cohort", "cohort", "report"]
+    table = pd.read_csv(results / "cohort" / "participants.csv").set_index("participant_id")
+    assert list(table.index) == ["sub-01", "sub-02"]
+    assert table.loc["sub-02", "images"] == "sub-02/gated/frames" and table.loc["sub-02", "labels"] == "sub-02/still/labels.nrrd"
+    truths = pd.read_csv(results / "cohort" / "truths.csv")
+    assert truths.to_dict("list") == {"participant_id": ["sub-01", "sub-02"], "alpha_roof": [1.5, 1.5]}
+
+
+def test_the_settings_of_the_examples_are_options_of_the_commands() -> None:
+    for name in ("study.toml", "gated.toml"):
+        _check_options(ROOT / "examples" / name)
