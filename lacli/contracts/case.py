@@ -26,7 +26,7 @@ class Phase:
 
 @dataclass(frozen=True)
 class Plan:
-    """Which terms the deck contains, and its phases in order."""
+    """Which terms the deck contains, and its phases in order; ``rest_sweeps`` as in the scene, 0 where no spring could move."""
 
     title: str
     unloading: bool
@@ -38,6 +38,7 @@ class Plan:
     outward_only: bool
     dents: bool
     sensitivities: bool
+    rest_sweeps: int
     phases: tuple[Phase, ...]
 
     def stretches(self) -> tuple[Phase, ...]:

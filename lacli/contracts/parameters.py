@@ -194,6 +194,11 @@ _TABLE: tuple[Quantity, ...] = (
         possible=(1, 100), plausible=(3, 100), whole=True,
     ),
     Quantity(
+        "rest_sweeps", "numerics.rest_sweeps", r"n_\mathrm{rest}", "",
+        "sweeps that put springs at rest where the wall relaxes to without pressure", 0,
+        possible=(0, 20), plausible=(0, 5), whole=True,
+    ),
+    Quantity(
         "annulus_frames", "motion.frames", r"n_\mathrm{frame}", "",
         "frames of the annulus' axial motion", 10,
         possible=(4, 200), plausible=(4, 200), whole=True,

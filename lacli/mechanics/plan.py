@@ -54,6 +54,8 @@ def make_plan(scene: Scene, bundle: Bundle, motion: Motion | None) -> Plan:
         )
     moving = motion is not None
     backward = scene.loads.edp_mmhg > 0 and scene.numerics.unloading == "backward"
+    strained = scene.loads.edp_mmhg > 0 and not backward
+    rest_sweeps = scene.numerics.rest_sweeps if strained and (veins or pericardium) else 0
     title = [f"pressure {scene.loads.edp_mmhg:g} to {scene.loads.esp_mmhg:g} mmHg", LAWS[scene.materials.law].title]
     title += ["annulus moves"] if moving else ["ring held"]
     title += ["vein springs"] if veins else []
@@ -61,14 +63,15 @@ def make_plan(scene: Scene, bundle: Bundle, motion: Motion | None) -> Plan:
     return Plan(
         title=", ".join(title),
         unloading=scene.loads.edp_mmhg > 0,
-        prestrain=scene.loads.edp_mmhg > 0 and scene.numerics.unloading == "prestrain",
-        unloaded=scene.loads.edp_mmhg > 0 and scene.numerics.unloading == "prestrain" and scene.outputs.unloaded,
+        prestrain=strained,
+        unloaded=strained and scene.outputs.unloaded,
         moving=moving,
         vein_springs=veins,
         pericardium=pericardium,
         outward_only=scene.pericardium.outward_only,
         dents=scene.pericardium.dents,
-        sensitivities=scene.outputs.sensitivities and not backward,
+        sensitivities=scene.outputs.sensitivities and not backward and not rest_sweeps,
+        rest_sweeps=rest_sweeps,
         phases=_phases(Pressure(scene.loads, motion.es_time if motion is not None else scene.motion.es_time), scene.outputs),
     )
 
@@ -104,6 +107,13 @@ def _phases(pressure: Pressure, outputs: Outputs) -> tuple[Phase, ...]:
     return tuple(phases)
 
 
+def _lacking(scene: Scene) -> str:
+    """What keeps a scene's run from telling sensitivities."""
+    if scene.numerics.unloading == "prestrain":
+        return "springs at rest where the wall relaxes; set numerics.rest_sweeps to 0"
+    return "backward displacement; set numerics.unloading to prestrain"
+
+
 _METHODS = {"prestrain": "the wall's strain in the image", "backward": "backward displacement"}
 
 
@@ -124,6 +134,7 @@ def describe(scene: Scene, bundle: Bundle) -> list[tuple[str, bool, str]]:
             else "EDP is 0: the image is unloaded",
         ),
         ("unloaded state", plan.unloaded or (plan.unloading and not plan.prestrain), "outputs.unloaded"),
+        ("springs where the wall relaxes", plan.rest_sweeps > 0, f"numerics.rest_sweeps is {scene.numerics.rest_sweeps}"),
         ("mitral motion", plan.moving, f"motion.annulus is {scene.motion.annulus!r}"),
         ("vein springs", plan.vein_springs, f"{loads.vein_spring_kpa_per_um:g} kPa/um on the right veins"),
         (
@@ -148,8 +159,6 @@ def describe(scene: Scene, bundle: Bundle) -> list[tuple[str, bool, str]]:
         (
             "sensitivities",
             plan.sensitivities,
-            "outputs.sensitivities"
-            if plan.sensitivities or not scene.outputs.sensitivities
-            else "none with backward displacement; set numerics.unloading to prestrain",
+            "outputs.sensitivities" if plan.sensitivities or not scene.outputs.sensitivities else f"none with {_lacking(scene)}",
         ),
     ]

@@ -103,6 +103,8 @@ def features(case: Case, results: Results) -> dict[str, Any]:
             "ed_shape_error_p95_mm": error["p95_mm"], "unloading_iterations": int(error["iterations"]),
             "ed_unstable_modes": int(numbers["ed_modes"]["unstable"]),
         }  # fmt: skip
+        if rest := numbers.get("rest"):
+            found |= {"rest_move_mean_mm": rest["mean_mm"], "rest_move_max_mm": rest["max_mm"]}
     else:
         found |= {"ed_volume_error": 0.0, "ed_shape_error_mean_mm": 0.0, "ed_shape_error_p95_mm": 0.0}
     counts = {name: int(value) for name, value in numbers["counts"].items()}

@@ -133,6 +133,8 @@ def statement(case: Case, results: Results) -> dict[str, Any] | None:
     if not case.scene.outputs.sensitivities:
         return None
     if not case.plan.sensitivities:
+        if case.plan.rest_sweeps:
+            return {"given": False, "why": "springs at rest where the wall relaxes have none; set numerics.rest_sweeps to 0"}
         return {"given": False, "why": "backward displacement has none; set numerics.unloading to prestrain"}
     if not _given(results):
         return {"given": False, "why": "only the compiled engine has them; `lacli doctor` says what it needs"}

@@ -64,6 +64,8 @@ def calibration_tradeoff(
 
     if scene.numerics.unloading != "prestrain" or scene.numerics.engine == "script":
         raise UsageError('tradeoff: derivatives need the compiled engine with numerics.unloading = "prestrain".')
+    if scene.numerics.rest_sweeps:
+        raise UsageError("tradeoff: springs at rest where the wall relaxes have no derivatives; set numerics.rest_sweeps to 0.")
     check_folder(store)
     box = box or published_box()
     places = [scene.anatomy.bundle, *(Path(mesh).resolve() for mesh in meshes)]

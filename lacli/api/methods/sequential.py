@@ -165,4 +165,6 @@ def lacking(scene: Scene) -> str:
         return (
             'the sequential method needs derivatives, which only the compiled engine with numerics.unloading = "prestrain" has.'
         )
+    if scene.numerics.rest_sweeps:
+        return "the sequential method needs derivatives, which runs have only with numerics.rest_sweeps = 0."
     return ""

@@ -28,6 +28,8 @@ RUN: tuple[Field, ...] = (
     Field("ed_unstable_modes", "", "ways out of an end-diastolic equilibrium that is not stable", always=False),
     Field("es_unstable_modes", "", "the same at end-systole"),
     Field("unloading_iterations", "", "iterations to the state at end-diastole", always=False),
+    Field("rest_move_mean_mm", "mm", "how far the last of `numerics.rest_sweeps` moved the springs' rest, mean", always=False),
+    Field("rest_move_max_mm", "mm", "the same, at most", always=False),
     Field("min_jacobian", "", "smallest volume ratio of the loaded states"),
     Field("unknowns", "", "unknowns of a linear system, displacements and pressures"),
     Field("newton_iterations", "", "solutions of a linear system"),

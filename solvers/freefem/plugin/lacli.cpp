@@ -84,14 +84,23 @@ long laCells(KN<double> *const &table, KN<double> *const &image) {
   return 0;
 }
 
-// laPrestrain(v, X): the stretch exp(sym grad v) on the reference X from now on, springs at rest in X - v; empty v: none
+// laRest(x): springs are at rest in x from now on, for the prestrain problem too; empty: in X - v
+long laRest(KN<double> *const &x) {
+  Model &P = *the;
+  ffassert(x->N() == 0 || x->N() == 3L * P.nU);
+  P.rest.assign(&(*x)[0], &(*x)[0] + x->N());
+  return 0;
+}
+
+// laPrestrain(v, X): the stretch exp(sym grad v) on the reference X from now on, springs at rest in X - v or where laRest put them;
+// empty v: none
 long laPrestrain(KN<double> *const &v, KN<double> *const &reference) {
   Model &P = *the;
   P.stretch.clear(), P.anchor.clear();
   if (v->N() == 0) return 0;
   ffassert(v->N() == 3L * P.nU);
   P.anchor.resize(3 * P.nU);
-  for (long i = 0; i < v->N(); ++i) P.anchor[i] = (*reference)[i] - (*v)[i];
+  for (long i = 0; i < v->N(); ++i) P.anchor[i] = P.rest.empty() ? (*reference)[i] - (*v)[i] : P.rest[i];
   P.stretch.resize((size_t)P.nt * P.rule.n * 9);
   double X[10][3], d[10][3];
   for (int k = 0; k < P.nt; ++k) {
@@ -214,13 +223,14 @@ long laAssemble(long const &asked, KN<double> *const &y, KN<double> *const &refe
         for (int i = 0; i < 3; ++i) {
           const long at = (long)i * P.nU + node[a];
           x[a][i] = pre ? (*reference)[at] : (*y)[at];
-          X[a][i] = pre ? x[a][i] - (*y)[at] : anchor[at];
+          X[a][i] = !pre ? anchor[at] : P.rest.empty() ? x[a][i] - (*y)[at] : P.rest[at];
         }
       face_integral(P.face, set.kind, value, &set.weight[k * P.face.n], X, x, task, f);
       P.energy += f.energy, P.volume += f.volume;
       for (int a = 0; a < m; ++a)
         for (int i = 0; i < 3; ++i) R[(long)i * P.nU + node[a]] += f.R[3 * a + i];
       if (task == Task::residual || (set.kind == PRESSURE && task == Task::inverse)) continue;
+      if (pre && !P.rest.empty()) continue;  // the force does not depend on v
       for (int i = 0; i < 3 * m && pre; ++i)
         for (int j = 0; j < 3 * m; ++j) f.K[i][j] = -f.K[i][j];  // X = image - v
       if (sym)                               // over a closed or rim-fixed cavity the halves that do not match cancel
@@ -336,6 +346,7 @@ static void Load_Init() {
   Global.Add("laMesh", "(", new OneOperator3_<long, KN<long> *, KN<long> *, KN<long> *>(laMesh));
   Global.Add("laCells", "(", new OneOperator2_<long, KN<double> *, KN<double> *>(laCells));
   Global.Add("laPrestrain", "(", new OneOperator2_<long, KN<double> *, KN<double> *>(laPrestrain));
+  Global.Add("laRest", "(", new OneOperator1_<long, KN<double> *>(laRest));
   Global.Add("laViscosity", "(", new OneOperator1_<long, double>(laViscosity));
   Global.Add("laFaces", "(", new OneOperator3_<long, long, KN<long> *, KN<double> *>(laFaces));
   Global.Add("laFixed", "(", new OneOperator1_<long, KN<long> *>(laFixed));

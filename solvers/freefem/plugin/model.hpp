@@ -26,6 +26,7 @@ struct Model {
   std::vector<Faces> faces;
   std::vector<double> stretch;               // per cell and point: stretch before the reference (9); empty: none
   std::vector<double> anchor;                // where springs are at rest (x | y | z); empty: in the reference X
+  std::vector<double> rest;                  // where springs are at rest whatever the prestrain (x | y | z); empty: X - v
   double viscosity = 0;                      // kPa/mm2
   double loads[4] = {0, 0, 0, 0};            // by Surface
   System system;
