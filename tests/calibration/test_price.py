@@ -30,7 +30,7 @@ def keep(scene: Scene, store: Path, cpu_s: float) -> None:
     """A finished run of the scene, which took so long."""
     with open_run(store, run_key(scene)) as run:
         (run.folder / "scene.toml").write_text(dump_scene(scene), encoding="utf-8")
-        features = {"unknowns": 256, "cpu_s": cpu_s, "peak_memory_mb": 50.0}
+        features = {"unknowns": 256, "cpu_s": cpu_s, "peak_memory_mb": 50.0, "newton_iterations": 12}
         (run.folder / "features.json").write_text(json.dumps(features), encoding="utf-8")
         run.finish(products=["scene.toml", "features.json"])
 

@@ -45,7 +45,14 @@ def run_scene(scene: Scene, root: Path, on_progress: Callable[[Any], None] | Non
             if scene.loads.esp_mmhg > 30:
                 run.finish("failed", kind="load_step_underflow", message="no step at load 0.7")
             else:
-                features = {"edv_ml": 80.25, "d_global_mm": 3.5, "unknowns": 192, "cpu_s": 2.0, "peak_memory_mb": 100.0}
+                features = {
+                    "edv_ml": 80.25,
+                    "d_global_mm": 3.5,
+                    "unknowns": 192,
+                    "cpu_s": 2.0,
+                    "peak_memory_mb": 100.0,
+                    "newton_iterations": 14,
+                }
                 write_json(
                     run.folder / "features.json",
                     features | {"discretisation_error": {"edv_ml": 0.1}, "discretisation_error_source": {"edv_ml": "model"}},
@@ -119,8 +126,11 @@ def test_dry_run_says_what_and_why_and_runs_nothing(scene_file: Path, tmp_path: 
     # that run took 2 s with 192 unknowns; this mesh has 64 corners and, see below, its edges
     expected = document["expected"]
     scene = load_scene(scene_file)
-    larger = cost.ordinary(scene, expected["unknowns"])[0] / cost.ordinary(scene, 192)[0]
+    # 14 systems there; one run at the very place counts 1 against .25 for the middle of what is foretold
+    solved = cost.systems(scene) ** 0.2 * 14**0.8
+    larger = cost.price(scene, expected["unknowns"], solved) / cost.price(scene, 192, 14)
     assert expected["runs"] == 1 and expected["cpu_s"] == pytest.approx(2.0 * larger)
+    assert expected["low_s"] < expected["cpu_s"] < expected["high_s"]
 
 
 def test_wrong_key_is_one_message(scene_file: Path) -> None:

@@ -239,7 +239,10 @@ def _show_plan(scene: Scene, root: Path, as_json: bool) -> None:
 
 
 def _price(price: Any) -> str:
-    text = f"{price.unknowns:,} unknowns, about {price.cpu_s:.2g} CPU s, {price.peak_memory_mb:.0f} MB"
+    spread = f"nine of ten such scenes: {price.low_s:.2g} to {price.high_s:.2g}"
+    text = f"{price.unknowns:,} unknowns, about {price.cpu_s:.2g} CPU s ({spread}), {price.peak_memory_mb:.0f} MB"
     if price.runs:
         return f"{text} (by {price.runs} finished runs in --out)"
-    return f"{text} (an ordinary scene on an ordinary machine: soft walls at high pressure take up to ten times as long)"
+    return (
+        f"{text} (an ordinary scene on an ordinary machine: a thin or soft wall that snaps through takes several times as long)"
+    )

@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 from shapes import hollow_cube
 
+from lacli.contracts.parameters import STUDY
 from lacli.contracts.scene import Scene, build_scene, with_parameters
-from lacli.mechanics.numerics.cost import Earlier, expected, ordinary
+from lacli.mechanics.numerics.cost import Earlier, expected, ordinary, price, systems
 
 PLAIN = ("outputs.unloaded=false", "outputs.sensitivities=false", "outputs.frames=0")
 
@@ -17,40 +18,80 @@ def scene(*settings: str) -> Scene:
     return build_scene({"anatomy": {"bundle": "la"}}, [*PLAIN, "numerics.order=1", *settings], folder=Path("/"), where="test")
 
 
-def ran(a_scene: Scene, cpu_s: float, unknowns: int = 256, memory: float = 50.0) -> Earlier:
-    return Earlier(a_scene, {"unknowns": unknowns, "cpu_s": cpu_s, "peak_memory_mb": memory})
+def ran(a_scene: Scene, cpu_s: float, memory: float = 50.0, solved: float | None = None) -> Earlier:
+    """A run on the hollow cube; in as many systems as are foretold where ``solved`` does not say."""
+    solved = systems(a_scene) if solved is None else solved
+    return Earlier(a_scene, {"unknowns": 256, "cpu_s": cpu_s, "peak_memory_mb": memory, "newton_iterations": solved})
 
 
-def test_an_ordinary_scene_s_price_by_hand() -> None:
-    # 17 systems (5 reservoir, 4 prestrain, 8 pericardium) of 2e-7 x 10,000^1.5 = .2 s, and .2 + .15 s to begin
-    cpu, memory = ordinary(scene(), 10_000)
-    assert cpu == pytest.approx(3.75)
-    assert memory == pytest.approx(93.0)
-    assert ordinary(scene("pericardium.k_peri_kpa_per_um=0", "loads.edp_mmhg=0"), 10_000)[0] == pytest.approx(1.35)
+def test_an_ordinary_scene_s_systems_and_price_by_hand() -> None:
+    # C alpha = 2, EDP 8 and ESP 20 mmHg: exp(.892) 2^-.219 8^.067 20^.568 = 2.440 x .8592 x 1.1495 x 5.483 = 13.21
+    a_scene = scene("loads.edp_mmhg=8", "loads.esp_mmhg=20", "materials.c_kpa=2", "materials.alpha=1")
+    assert systems(a_scene) == pytest.approx(13.21, rel=1e-3)
+    # .7 of them where no pericardium resists
+    assert systems(with_parameters(a_scene, {"k_peri_kpa_per_um": 0.0})) == pytest.approx(0.7 * 13.21, rel=1e-3)
+    # quadratic cells take 1.36 times as many; each time after end-systole 1.5 more
+    assert systems(
+        scene("loads.edp_mmhg=8", "loads.esp_mmhg=20", "materials.c_kpa=2", "materials.alpha=1", "numerics.order=2")
+    ) == (pytest.approx(1.36 * 13.21, rel=1e-3))
+    # 10,000 unknowns: 1.25 s to begin, .14 s a system; 28 + 64 MB
+    assert price(a_scene, 10_000, 20.0) == pytest.approx(4.05)
+    assert ordinary(a_scene, 10_000) == pytest.approx((1.25 + 0.14 * systems(a_scene), 92.0))
+
+
+def test_the_softest_region_counts() -> None:
+    soft = systems(scene("materials.c_kpa=2", "materials.alpha=1", "materials.alpha.roof=0.25"))
+    # 4^.219 = 1.355 times the systems where one region is four times as soft
+    assert soft / systems(scene("materials.c_kpa=2", "materials.alpha=1")) == pytest.approx(1.355, rel=1e-3)
+    assert systems(scene("outputs.frames=4", "outputs.conduit=true")) == pytest.approx(systems(scene()) + 6.0)
+    assert systems(scene("outputs.times=[0.2, 0.7]")) == pytest.approx(systems(scene()) + 1.5)
 
 
 @pytest.mark.parametrize(
-    "term", ["outputs.unloaded=true", "outputs.sensitivities=true", "numerics.quadrature=14", "numerics.engine=script"]
+    "term",
+    [
+        "outputs.unloaded=true",
+        "outputs.sensitivities=true",
+        "numerics.rest_sweeps=1",
+        "numerics.quadrature=14",
+        "numerics.engine=script",
+    ],
 )
 def test_every_term_costs(term: str) -> None:
     assert ordinary(scene(term), 5000)[0] > ordinary(scene(), 5000)[0]
 
 
-def test_runs_correct_the_price_by_their_median() -> None:
+def test_runs_tell_the_machine_s_speed_by_their_systems() -> None:
     bundle = hollow_cube()
     blind = expected(scene(), bundle, [])
     assert (blind.unknowns, blind.runs) == (256, 0)
-    found = expected(scene(), bundle, [*(ran(scene(), s) for s in (1.0, 2.0, 9.0)), Earlier(scene(), {"edv_ml": 3.0})])
-    assert found.runs == 3
-    assert found.cpu_s == pytest.approx(2.0) and found.peak_memory_mb == pytest.approx(50.0)
+    # three times as long as here for as many systems as foretold: three times the price, and nothing else
+    slow = expected(scene(), bundle, [ran(scene(), 3.0 * blind.cpu_s), Earlier(scene(), {"edv_ml": 3.0})])
+    assert slow.runs == 1
+    assert slow.cpu_s == pytest.approx(3.0 * blind.cpu_s) and slow.peak_memory_mb == pytest.approx(50.0)
     # a scene with one more term costs more by that term's factor
-    assert expected(scene("numerics.quadrature=14"), bundle, [ran(scene(), 2.0)]).cpu_s == pytest.approx(2.0 * 1.6)
+    points = expected(scene("numerics.quadrature=14"), bundle, [ran(scene(), 3.0 * blind.cpu_s)])
+    assert points.cpu_s == pytest.approx(3.0 * 2.3 * blind.cpu_s)
 
 
-def test_runs_near_by_and_of_the_same_order_count_first() -> None:
+def test_runs_near_by_tell_how_many_systems() -> None:
     bundle = hollow_cube()
-    hard = with_parameters(scene(), {"edp_mmhg": 9.0, "esp_mmhg": 35.0})
-    near = with_parameters(scene(), {"edp_mmhg": 8.8, "esp_mmhg": 34.0})
-    runs = [ran(near, 8.0), *(ran(scene(), 1.0) for _ in range(9)), ran(scene("numerics.order=2"), 500.0)]
-    assert expected(hard, bundle, runs).cpu_s == pytest.approx(8.0)
-    assert expected(scene(), bundle, runs).cpu_s == pytest.approx(1.0)
+    hard = with_parameters(scene(), {"edp_mmhg": 9.0, "esp_mmhg": 35.0, "alpha_roof": 0.4})
+    base = expected(hard, bundle, [])
+    often = ran(hard, price(hard, 256, 4.0 * systems(hard)), solved=4.0 * systems(hard))
+    one, many = expected(hard, bundle, [often]), expected(hard, bundle, [often] * 20)
+    # one run there counts 1 against .25 for the middle, so 4^.8 = 3.03 times the systems; twenty, 4^.988
+    assert one.cpu_s == pytest.approx(price(hard, 256, 3.031 * systems(hard)), rel=1e-3)
+    assert base.cpu_s < one.cpu_s < many.cpu_s < price(hard, 256, 4.0 * systems(hard))
+    # far away it tells nothing: 14 inputs at the other end of their ranges
+    far = with_parameters(scene(), dict.fromkeys((n for n in STUDY if n.startswith(("c_", "alpha_"))), 3.9))
+    assert expected(far, bundle, [often]).cpu_s == pytest.approx(expected(far, bundle, []).cpu_s, rel=1e-3)
+
+
+def test_the_range_narrows_with_runs() -> None:
+    bundle = hollow_cube()
+    blind, near = (expected(scene(), bundle, [ran(scene(), 2.0)] * count) for count in (0, 9))
+    # linear, no run: exp(-1.3 x .3) = .677 and exp(1.9 x .3) = 1.768 of the middle
+    assert (blind.low_s / blind.cpu_s, blind.high_s / blind.cpu_s) == pytest.approx((0.677, 1.768), rel=1e-3)
+    # nine near by: sqrt(.17^2 + (.3^2 - .17^2) .25 / 9.25) = .1748
+    assert (near.low_s / near.cpu_s, near.high_s / near.cpu_s) == pytest.approx((0.797, 1.394), rel=1e-3)
