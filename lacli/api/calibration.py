@@ -31,6 +31,7 @@ if TYPE_CHECKING:
         workers: int | None
         scheduler: str | None
         sensitivities: bool
+        warm: bool
         fresh: bool
         retry: bool
         discretisation: bool
@@ -104,6 +105,7 @@ def calibrate(
     workers: int | None = None,
     scheduler: str | None = None,
     sensitivities: bool = True,
+    warm: bool = False,
     fresh: bool = False,
     retry: bool = False,
     discretisation: bool = True,
@@ -124,8 +126,9 @@ def calibrate(
 
     The prior is uniform on the box (default: the published ranges of the 9 inputs, or the table's). settings: runs, budgets,
     sampling, seed, of the method; store: folder of the simulations (default: in ``folder``); workers: simulations side by side
-    here, scheduler: address of a Dask scheduler instead; sensitivities: whether runs tell their derivatives; fresh: start in a
-    sub-folder where ``folder`` holds something else; retry: run again what the machine has ended three times; discretisation:
+    here, scheduler: address of a Dask scheduler instead; sensitivities: whether runs tell their derivatives; warm: runs
+    start from the nearest that has ended, and end as the others do to the solver's tolerance; fresh: start in a sub-folder
+    where ``folder`` holds something else; retry: run again what the machine has ended three times; discretisation:
     whether the targets' errors are widened by the scene's discretisation errors, measured or by the model (no, where the
     targets come from the very same numerics; a table says its own). cheap: of the sequential method, ``key=value`` of numerics
     (``order=1``), or of ``anatomy.bundle`` (coarser cells): with them most runs are made, and about ten of the scene's own
@@ -139,7 +142,7 @@ def calibrate(
     from lacli.calibration.sequential.search import Settings as SequentialSettings
 
     work = Work(
-        box, store, workers, scheduler, sensitivities, fresh, retry, discretisation, figures, progress, cancel, tuple(cheap)
+        box, store, workers, scheduler, sensitivities, fresh, retry, discretisation, figures, progress, cancel, tuple(cheap), warm
     )
     if (scene is None) == (table is None):
         raise UsageError("calibrate: give either a scene to simulate, or a table of runs done elsewhere.")

@@ -43,6 +43,7 @@ def design(
     workers: int | None = None,
     scheduler: str | None = None,
     sensitivities: bool = True,
+    warm: bool = False,
     fresh: bool = False,
     retry: bool = False,
     seed: int = 0,
@@ -55,7 +56,8 @@ def design(
     runs are never repeated, nor lost. method: ``sobol``, ``lhs`` or ``maximin``; box: ranges of the inputs (default: the
     published ones of the 9 of a calibration); runs: a table of earlier runs with their status, to avoid where runs fail;
     workers: simulations side by side here, scheduler: address of a Dask scheduler instead; sensitivities: whether
-    runs tell their derivatives (columns ``d<output>/d<input>``); fresh: write into a sub-folder
+    runs tell their derivatives (columns ``d<output>/d<input>``); warm: whether runs start from the nearest that has ended, and
+    end as the others do to the solver's tolerance; fresh: write into a sub-folder
     where ``table`` holds something else; retry: run again what the machine has ended three times.
     Raises UsageError, TableError, LacliError for runs that the machine ended again and again, AnatomyError,
     SolverMissingError, StorageError, Cancelled (the runs that finished are in the table then).
@@ -84,7 +86,7 @@ def design(
     from lacli.calibration.simulator import simulator
     from lacli.inference.runs import RunLog, runs_identity
 
-    program = simulator(scene, store, workers, scheduler, sensitivities=sensitivities)
+    program = simulator(scene, store, workers, scheduler, sensitivities=sensitivities, warm=warm)
     outputs = (*OUTPUTS, "edv_ml")
     identity = runs_identity(program, box.names, outputs)
     table = design_file.place_of_runs(table, identity, fresh)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,20 +23,24 @@ if TYPE_CHECKING:
 class SceneSimulator:
     """Runs the scene at each row of inputs, side by side; stored runs are found again by content.
 
-    Its discretisation errors are those measured for the scene itself: they stand for the box around it.
+    Its discretisation errors are those measured for the scene itself: they stand for the box around it. warm: runs start from
+    the nearest that has ended; they are the same runs to the solver's tolerance.
     """
 
     scene: Scene
     root: Path
     workers: int | None = None
     scheduler: str | None = None
+    warm: bool = False
 
     def __call__(self, inputs: pd.DataFrame) -> Iterator[tuple[int, Outcome]]:
         from lacli.mechanics.execute import run_scenes
+        from lacli.mechanics.simulation import run_scene
 
+        task = functools.partial(run_scene, warm=True) if self.warm else None
         errors = self._errors()
         scenes = [with_parameters(self.scene, {str(k): float(v) for k, v in row.items()}) for row in inputs.to_dict("records")]
-        for index, result in run_scenes(scenes, self.root, workers=self.workers, scheduler=self.scheduler):
+        for index, result in run_scenes(scenes, self.root, workers=self.workers, scheduler=self.scheduler, task=task):
             yield index, _outcome(result, errors, framed=bool(self.scene.outputs.times))
 
     def determined_by(self, inputs: Sequence[str]) -> Mapping[str, Any]:
@@ -73,17 +78,19 @@ def simulator(
     *,
     targets: Sequence[str] = (),
     sensitivities: bool = True,
+    warm: bool = False,
 ) -> SceneSimulator:
     """The simulator of a scene. Raises StorageError where nothing can be written to ``root``.
 
     targets: names of outputs that will be held against it; those at times of the cycle (``n_septum_mm@0.2``) make its frames.
     sensitivities: whether runs tell their derivatives (where the scene can: the compiled engine, prestrain). Neither fields nor
-    the unloaded state are computed (a calibration makes hundreds of runs and reads their features).
+    the unloaded state are computed (a calibration makes hundreds of runs and reads their features). warm: whether runs start
+    from those that have ended.
     """
     from lacli.base.files import check_folder
 
     check_folder(root, "--store")
-    return SceneSimulator(asked(scene, targets, sensitivities), root, workers, scheduler)
+    return SceneSimulator(asked(scene, targets, sensitivities), root, workers, scheduler, warm)
 
 
 def asked(scene: Scene, targets: Sequence[str], sensitivities: bool = True) -> Scene:

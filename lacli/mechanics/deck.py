@@ -19,7 +19,7 @@ from lacli.freefem import blas
 from lacli.freefem import run as freefem
 from lacli.freefem.program import find
 from lacli.freefem.template import render_template
-from lacli.mechanics import engine
+from lacli.mechanics import engine, warm
 from lacli.mechanics.inputs import write_inputs
 
 SCRIPT = "deck.edp"
@@ -41,15 +41,20 @@ class Deck:
         return self.folder / SCRIPT
 
 
-def write(case: Case, folder: Path) -> Deck:
+def write(case: Case, folder: Path, start: warm.Start | None = None) -> Deck:
     """Write the scene, the script and all that this reads into ``folder``, which must be there.
 
+    start: where the run may start from; with one, however empty, it leaves where others may (``lacli.mechanics.warm``).
     Raises SolverMissingError, StorageError.
     """
     write_text(folder / SCENE, dump_scene(case.scene))
     plugin = engine.choose(case.scene.numerics.engine, LAWS[case.scene.materials.law])
     write_inputs(case, folder)
-    write_text(folder / SCRIPT, render(case.scene, case.plan, plugin))
+    starts = None
+    if start is not None and plugin is not None:
+        warm.write(start, folder)
+        starts = tuple(start.states)
+    write_text(folder / SCRIPT, render(case.scene, case.plan, plugin, starts))
     return Deck(folder, engine.name(plugin), case.scene.numerics.timeout_s)
 
 
@@ -82,8 +87,9 @@ def libraries() -> Path:
     return resources.folder("solvers") / "freefem"
 
 
-def render(scene: Scene, plan: Plan, plugin: Path | None) -> str:
-    """The script of one scene as text; ``plugin`` as ``render_template`` takes it."""
+def render(scene: Scene, plan: Plan, plugin: Path | None, starts: tuple[str, ...] | None = None) -> str:
+    """The script of one scene as text; ``plugin`` as ``render_template`` takes it; starts: states that have a start from another
+    run (None: none, nor is what others could start from kept)."""
     numerics = scene.numerics
     return render_template(
         "simulation.edp.j2",
@@ -96,6 +102,7 @@ def render(scene: Scene, plan: Plan, plugin: Path | None) -> str:
         max_newton=numerics.max_newton,
         settle_ed=numerics.settle_ed,
         sensitivities=plan.sensitivities and plugin is not None,
+        starts=starts,
         volume_tolerance=numerics.unloading_volume_tolerance,
         max_sweeps=numerics.unloading_max_sweeps,
         vein_spring=scene.loads.vein_spring_kpa_per_mm,

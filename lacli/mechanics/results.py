@@ -23,6 +23,7 @@ from lacli.freefem.files import read_history, read_state
 from lacli.mechanics.features import cell_gradient, regional_extras
 
 FIELDS, HISTORY = "fields", "history.txt"
+_RAW = ("txt", "txt.part", "rates", "state", "start")  # endings of what a deck reads and writes
 _STATE = "state_"  # begins a state's line of the history
 
 
@@ -115,6 +116,7 @@ def features(case: Case, results: Results) -> dict[str, Any]:
         "newton_iterations": counts["newton"],
         "load_steps": counts["steps"],
         "steps_back": counts["backs"],
+        "factorisations": counts["factors"],
     }
     if case.scene.outputs.strain:
         found |= regional_extras(bundle, states["ed"].x, es.x)
@@ -216,5 +218,6 @@ def keep_last_state(case: Case, folder: Path) -> None:
 
 def tidy(folder: Path) -> None:
     """Remove the deck's inputs and raw states: they are written again from the scene, what is in them is in ``fields``."""
-    for file in [*folder.glob("*.txt"), *folder.glob("*.txt.part"), *folder.glob("*.rates"), folder / "wall.mesh"]:
+    raw = [file for ending in _RAW for file in folder.glob(f"*.{ending}")]
+    for file in [*raw, folder / "wall.mesh"]:
         file.unlink(missing_ok=True)

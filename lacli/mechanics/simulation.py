@@ -17,6 +17,7 @@ from lacli.contracts.scene import Scene, load_scene
 from lacli.freefem.program import find
 from lacli.freefem.run import Outcome
 from lacli.mechanics import deck, results, sensitivities
+from lacli.mechanics import warm as starts
 from lacli.mechanics.deck import Deck, OnProgress
 from lacli.mechanics.numerics.stated import with_errors
 from lacli.mechanics.plan import prepare
@@ -39,9 +40,11 @@ class RunResult:
     manifest: dict[str, Any]
 
 
-def run_scene(scene: Scene, root: Path, on_progress: OnProgress | None = None) -> RunResult:
+def run_scene(scene: Scene, root: Path, on_progress: OnProgress | None = None, *, warm: bool = False) -> RunResult:
     """Simulate, or return what is stored for the same content. A simulation that fails is a result, not an exception.
 
+    warm: start from the nearest run below ``root`` where there is one, and leave where others may (``lacli.mechanics.warm``;
+    the compiled engine with sensitivities and prestrain alone).
     Raises AnatomyError, SceneError, SolverMissingError, StorageError.
     """
     case = prepare(scene)
@@ -49,9 +52,10 @@ def run_scene(scene: Scene, root: Path, on_progress: OnProgress | None = None) -
         if run.stored is not None and (words := of_another_engine(run.stored, scene)):
             note(words)
         if run.stored is None:
-            written = deck.write(case, run.folder)
+            start = starts.nearest(case, root) if warm else None
+            written = deck.write(case, run.folder, start)
             outcome = deck.run(written, on_progress)
-            _keep(run, case, written, outcome)
+            _keep(run, case, written, outcome, start)
     assert run.stored is not None
     return _result(run.stored, case)
 
@@ -85,7 +89,7 @@ def _result(stored: StoredRun, case: Case) -> RunResult:
     return RunResult(stored.key, stored.folder, stored.status, stored.kind, stored.message, features, stored.manifest)
 
 
-def _keep(run: OpenRun, case: Case, written: Deck, outcome: Outcome) -> None:
+def _keep(run: OpenRun, case: Case, written: Deck, outcome: Outcome, start: starts.Start | None) -> None:
     """Read what the deck left, write the products beside it, and give the run its name."""
     usage: dict[str, Any] = {
         "cpu_s": outcome.cpu_s,
@@ -101,6 +105,10 @@ def _keep(run: OpenRun, case: Case, written: Deck, outcome: Outcome) -> None:
     features, products = collect(case, run.folder, cpu_s=outcome.cpu_s, peak_memory_mb=outcome.peak_memory_mb)
     if "sensitivities" in features:
         usage["sensitivities"] = features["sensitivities"]
+    if start is not None:
+        found = results.read(case, run.folder)
+        usage["start"] = starts.statement(start, found)
+        starts.keep(case, found, run.folder, run.root)
     results.tidy(run.folder)
     run.finish("done", products=products, newton_iterations=features["newton_iterations"], **usage)
 

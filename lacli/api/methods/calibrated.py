@@ -30,6 +30,7 @@ class Work:
     progress: OnProgress | None = None
     cancel: Cancel | None = None
     cheap: tuple[str, ...] = ()
+    warm: bool = False
 
 
 @dataclass(frozen=True)

@@ -118,7 +118,7 @@ def _simulator(scene: Scene, folder: Path, work: Work, targets: Sequence[str], s
     from lacli.calibration.simulator import simulator
 
     store = work.store or folder / WAVES
-    return simulator(scene, store, work.workers, work.scheduler, targets=targets, sensitivities=sensitivities)
+    return simulator(scene, store, work.workers, work.scheduler, targets=targets, sensitivities=sensitivities, warm=work.warm)
 
 
 def _settle(folder: Path, in_the_way: Callable[[Path], str], of_runs: Identity, fresh: bool) -> Path:

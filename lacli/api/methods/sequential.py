@@ -134,7 +134,10 @@ def _prepared(scene: Scene, targets: Targets, folder: Path, settings: Settings |
     settings, box = settings or Settings(), work.box or published_box()
     kinds = [(scene, LOG), *([(companion(scene, work.cheap), CHEAP)] if work.cheap else [])]
     # its own numerics first; the cheap ones, if any, carry the search
-    runs = [simulator(one, work.store or folder / RUNS, work.workers, work.scheduler, targets=targets.names) for one, _ in kinds]
+    runs = [
+        simulator(one, work.store or folder / RUNS, work.workers, work.scheduler, targets=targets.names, warm=work.warm)
+        for one, _ in kinds
+    ]
     made = [runs_identity(run, box.names, targets.names) for run in runs]
     notes: list[str] = []
     if work.discretisation:

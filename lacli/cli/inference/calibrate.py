@@ -65,6 +65,7 @@ def command(
     sensitivities: Annotated[
         bool, typer.Option("--sensitivities/--no-sensitivities", help="Runs tell their derivatives, where the scene can.")
     ] = True,
+    warm: Annotated[bool, typer.Option("--warm/--cold", help="Runs start from the nearest one that has ended.")] = False,
     discretisation: Annotated[
         bool,
         typer.Option(
@@ -138,7 +139,7 @@ def command(
         options: dict[str, Any] = {
             "box": space, "settings": Sought(**budgets, seed=seed, mcmc=Sampling(ess=ess)), "cheap": cheap or (),
             "store": root, "workers": workers, "scheduler": scheduler, "fresh": fresh, "retry": retry,
-            "discretisation": discretisation,
+            "discretisation": discretisation, "warm": warm,
         }  # fmt: skip
         patient, wanted = read_scene(scene_file, overrides, space), read_targets(targets_file)
         if dry_run:
@@ -180,7 +181,7 @@ def command(
         found = api.calibrate(
             scene, targets, folder, method="published", table=from_table, box=box, settings=settings, store=root, workers=workers,
             scheduler=scheduler, sensitivities=sensitivities, fresh=fresh, retry=retry, figures=figures, progress=show,
-            discretisation=discretisation,
+            discretisation=discretisation, warm=warm,
         )  # fmt: skip
     _finish(found, as_json, time.monotonic() - begin)
 

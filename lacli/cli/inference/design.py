@@ -37,6 +37,7 @@ def command(
             help="Runs tell their derivatives, where the scene can: columns d<output>/d<input>, in units of both.",
         ),
     ] = True,
+    warm: Annotated[bool, typer.Option("--warm/--cold", help="Runs start from the nearest one that has ended.")] = False,
     fresh: Fresh = False,
     retry: Retry = False,
     seed: Seed = 0,
@@ -56,7 +57,7 @@ def command(
     with stages() as show:
         made = api.design(
             table, scene=scene, count=count, method=method, box=box, runs=runs, store=root, workers=workers,
-            scheduler=scheduler, sensitivities=sensitivities, fresh=fresh, retry=retry, seed=seed, progress=show,
+            scheduler=scheduler, sensitivities=sensitivities, warm=warm, fresh=fresh, retry=retry, seed=seed, progress=show,
         )  # fmt: skip
     if made.note:
         err.print(f"note: {made.note}", highlight=False, soft_wrap=True)

@@ -35,6 +35,7 @@ RUN: tuple[Field, ...] = (
     Field("newton_iterations", "", "solutions of a linear system"),
     Field("load_steps", "", "load steps"),
     Field("steps_back", "", "load steps that failed and were tried again, smaller"),
+    Field("factorisations", "", "factorised matrices, those of stability checks and derivatives among them"),
     Field("cpu_s", "s", "CPU time of FreeFEM"),
     Field("peak_memory_mb", "MB", "largest memory of FreeFEM"),
     *(
@@ -65,6 +66,12 @@ MANIFEST: tuple[Field, ...] = (
     Field("engine", "", "what evaluated the laws: compiled kernels or FreeFEM's own language"),
     Field("newton_iterations", "", "solutions of a linear system; of a run that is done", always=False),
     Field("sensitivities", "", "as in `features.json`", always=False),
+    Field(
+        "start",
+        "",
+        "`way` `warm` or `cold`, and the run started `from`, how far, what of it was accepted; with `--warm`",
+        always=False,
+    ),
     Field("machine", "", "system and number of processors"),
     Field("products", "bytes", "size of each file that makes the run complete"),
     Field("sha256", "", "digest of each of them"),

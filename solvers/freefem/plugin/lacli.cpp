@@ -315,6 +315,10 @@ long laWriteRates(string *const &file, KN<long> *const &order, KN<double> *const
   return write_rates(*the, file->c_str(), *order, &(*rates)[0]);
 }
 
+// laKeep(file, unknowns, their columns of all inputs), laRead(file, array of the length wanted): 0, or 1
+long laKeep(string *const &file, KN<double> *const &z, KN<double> *const &rates) { return write_numbers(file->c_str(), *z, *rates); }
+long laRead(string *const &file, KN<double> *const &a) { return read_numbers(file->c_str(), *a); }
+
 // laLaw(CellColumn without the last; (F row by row, p); out: W, P (9), A (81), dP/df (27)): 0 or 1
 long laLaw(KN<double> *const &material, KN<double> *const &state, KN<double> *const &out) {
   ffassert(material->N() == STABILISATION);
@@ -361,6 +365,8 @@ static void Load_Init() {
              new OneOperator5_<long, KN<double> *, KN<double> *, KN<double> *, KN<double> *, KN<double> *>(laSlopes));
   Global.Add("laSolveAll", "(", new OneOperator2_<long, KN<double> *, KN<double> *>(laSolveAll));
   Global.Add("laWriteRates", "(", new OneOperator3_<long, string *, KN<long> *, KN<double> *>(laWriteRates));
+  Global.Add("laKeep", "(", new OneOperator3_<long, string *, KN<double> *, KN<double> *>(laKeep));
+  Global.Add("laRead", "(", new OneOperator2_<long, string *, KN<double> *>(laRead));
   Global.Add("laLaw", "(", new OneOperator3_<long, KN<double> *, KN<double> *, KN<double> *>(laLaw));
 }
 LOADFUNC(Load_Init)

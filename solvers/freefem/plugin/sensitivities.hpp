@@ -243,5 +243,30 @@ inline long write_rates(const Model &P, const char *file, const KN<long> &order,
   return std::fclose(stream) == 0 && whole ? 0 : 1;
 }
 
+// Numbers to a file one array after the other, and back, as 8-byte floats: 0, or 1.
+inline long write_numbers(const char *file, const KN<double> &first, const KN<double> &then) {
+  FILE *stream = std::fopen(file, "wb");
+  if (!stream) return 1;
+  bool whole = true;
+  for (const KN<double> *a : {&first, &then})
+    for (long i = 0; i < a->N(); ++i) {
+      const double value = (*a)[i];
+      whole = whole && std::fwrite(&value, sizeof value, 1, stream) == 1;
+    }
+  return std::fclose(stream) == 0 && whole ? 0 : 1;
+}
+inline long read_numbers(const char *file, KN<double> &a) {
+  FILE *stream = std::fopen(file, "rb");
+  if (!stream) return 1;
+  bool whole = true;
+  for (long i = 0; i < a.N(); ++i) {
+    double value;
+    whole = whole && std::fread(&value, sizeof value, 1, stream) == 1;
+    if (whole) a[i] = value;
+  }
+  std::fclose(stream);
+  return whole ? 0 : 1;
+}
+
 }  // namespace lacli
 #endif
