@@ -36,6 +36,7 @@ FOLDER = ".states"
 # (benchmarks/warm.py); farther away the long way is as short
 PREDICTED, NEAR = 0.12, 0.3
 _KEPT = 40  # states of a family; one of 25,000 quadratic nodes and two states takes 12 MB
+_DAMAGED = (OSError, ValueError, KeyError, zipfile.BadZipFile)
 _LEAST_MM = 0.1  # a solution as near as that to the prediction is on its branch, however short the prediction
 
 
@@ -90,13 +91,13 @@ def nearest(case: Case, root: Path) -> Start:
     best: tuple[float, float, Path] | None = None
     for file in sorted((root / FOLDER / family(case.scene)).glob("[!.]*.npz")):
         # another process may remove it meanwhile, a killed one cannot have left half of it
-        with contextlib.suppress(OSError, ValueError, KeyError, zipfile.BadZipFile), np.load(file) as kept:
+        with contextlib.suppress(*_DAMAGED), file.open("rb") as stream, np.load(stream) as kept:
             shares = steps(kept["inputs"], wanted)[1]
             found = (float(np.linalg.norm(shares)), float(shares.max()), file)
             best = found if best is None or found < best else best
     if best is None or best[1] > NEAR:
         return Start()
-    with contextlib.suppress(OSError, ValueError, KeyError, zipfile.BadZipFile), np.load(best[2]) as kept:
+    with contextlib.suppress(*_DAMAGED), best[2].open("rb") as stream, np.load(stream) as kept:
         along = steps(kept["inputs"], wanted)[0]
         names = [name.removesuffix(_UNKNOWNS) for name in kept.files if name.endswith(_UNKNOWNS)]
         moved = {name: _moved(case, kept[name + _UNKNOWNS], kept[name + _RATES], along, best[1] <= PREDICTED) for name in names}
