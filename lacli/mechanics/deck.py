@@ -51,7 +51,7 @@ def write(case: Case, folder: Path, start: warm.Start | None = None) -> Deck:
     plugin = engine.choose(case.scene.numerics.engine, LAWS[case.scene.materials.law])
     write_inputs(case, folder)
     starts = None
-    if start is not None and plugin is not None:
+    if start is not None and plugin is not None and case.plan.sensitivities:
         warm.write(start, folder)
         starts = tuple(start.states)
     write_text(folder / SCRIPT, render(case.scene, case.plan, plugin, starts))
