@@ -158,7 +158,8 @@ def test_participants_have_no_codes(column: str, code: str, tmp_path: Path) -> N
     from lacli.cohort.participants import read_participants
 
     (tmp_path / "b").mkdir()
-    rows = "\n".join(f"p{i},b,b,{60 + i if i != 3 else code}" for i in range(9))
+    (tmp_path / "t.toml").write_text("[esv_ml]\nmean = 90.0\nsd = 4.0\n")
+    rows = "\n".join(f"p{i},b,t.toml,{60 + i if i != 3 else code}" for i in range(9))
     (tmp_path / "p.csv").write_text(f"participant_id,bundle,targets,{column}\n{rows}\n")
     with pytest.raises(TableError, match="n/a where it is not known"):
         read_participants(tmp_path / "p.csv")
