@@ -17,6 +17,7 @@ from lacli.anatomy.wall.shell import mesh_shell
 from lacli.contracts import bundle as bundles
 from lacli.contracts.scene import Scene, build_scene
 
+ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = Path(lacli.__file__).parent
 MOST_MODULES, MOST_PLACES = 8, 16
 
@@ -28,7 +29,7 @@ def module_of(frame: FrameType) -> str | None:
 
 def levels() -> dict[str, int]:
     """Room -> its level, the lowest 0."""
-    document = tomllib.loads((PACKAGE.parent / "pyproject.toml").read_text(encoding="utf-8"))
+    document = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     (contract,) = [c for c in document["tool"]["importlinter"]["contracts"] if c["type"] == "layers"]
     return {
         room.strip().removeprefix("lacli."): level
