@@ -12,12 +12,11 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from prepared import prepared
+
 from lacli.cli.terminal.console import print_json, print_table
-from lacli.contracts import bundle as bundles
-from lacli.contracts.motion import save_motion
 from lacli.contracts.scene import build_scene
 from lacli.mechanics.simulation import run_scene
-from lacli.synthetic.atrium import synthesize
 
 ENGINES = ("plugin", "script")
 AGREEMENT = 1e-6
@@ -66,11 +65,7 @@ def main() -> None:
     choice = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="lacli-engines-") as temporary:
         out = (choice.out or Path(temporary)).resolve()
-        folder = out / f"bundle_{choice.seed}_{choice.cell_size_mm:g}mm"
-        if not folder.is_dir():
-            bundle, motion = synthesize(choice.seed, None, cell_size_mm=choice.cell_size_mm)
-            bundles.save(bundle, folder)
-            save_motion(motion, folder)
+        folder = prepared(out, choice.seed, choice.cell_size_mm)
         rows = [compare(folder, order, out / "runs") for order in (1, 2)]
     if choice.json:
         print_json({"rows": rows, "asked": AGREEMENT})

@@ -29,13 +29,13 @@ from lacli.base.errors import LacliError
 from lacli.base.files import write_json
 from lacli.cli.terminal.console import print_table
 from lacli.contracts import bundle as bundles
-from lacli.contracts.features import KEYS, at_time, parse
+from lacli.contracts.features import KEYS, at_time, family, parse
 from lacli.contracts.motion import save_motion
 from lacli.contracts.parameters import parameter_box
 from lacli.contracts.scene import build_scene, with_parameters
 from lacli.mechanics.numerics import error_correlation
 from lacli.mechanics.numerics.error_correlation import measured
-from lacli.mechanics.numerics.error_model import FILE, Resolution, family, model_errors, moved_mm, resolution, scale
+from lacli.mechanics.numerics.error_model import FILE, Resolution, model_errors, moved_mm, resolution, scale
 from lacli.mechanics.simulation import run_scene
 from lacli.synthetic.atrium import synthesize
 
@@ -193,21 +193,37 @@ def coverage(data: list[Difference]) -> dict[int, float]:
     return found
 
 
-def together(folder: Path, rows: list[dict[str, Any]], finest_mm: float, order: int) -> dict[str, float]:
-    """How errors over the stated ones go together, by group of features, for cells of that order."""
+# names, values, errors over the stated ones of one anatomy at one resolution
+Sample = tuple[list[str], np.ndarray, np.ndarray]
+
+
+def over_stated(folder: Path, rows: list[dict[str, Any]], finest_mm: float, order: int) -> dict[int, list[Sample]]:
+    """Errors over the stated ones by anatomy, for cells of that order."""
     run = {(row["seed"], row["order"], row["cell_size_mm"]): row for row in rows}
     by: dict[tuple[int, float], list[Difference]] = {}
     for d in differences(folder, rows, finest_mm):
         if d.where.order == order:
             by.setdefault((d.seed, d.cell_mm), []).append(d)
-    samples = []
+    samples: dict[int, list[Sample]] = {}
     for (seed, cell_mm), data in by.items():
         features = run[seed, order, cell_mm]["features"]
         stated = model_errors(features, data[0].where)
         told = [d for d in data if stated.get(d.name, 0.0) > 0.0]
         values = np.array([features[d.name] for d in told])
-        samples.append(([d.name for d in told], values, np.array([d.error / stated[d.name] for d in told])))
-    return measured(samples)
+        samples.setdefault(seed, []).append(([d.name for d in told], values, np.array([d.error / stated[d.name] for d in told])))
+    return samples
+
+
+def jointly(samples: dict[int, list[Sample]], order: int, apart: float) -> tuple[float, float]:
+    """chi^2 of errors over their number, mean and largest, each anatomy's by the correlations of the others; ``apart``: share of
+    an error that goes with no other."""
+    found = []
+    for seed, own in samples.items():
+        groups = measured(sample for other, theirs in samples.items() if other != seed for sample in theirs)
+        for names, values, errors in own:
+            matrix = error_correlation.of_groups(names, values, groups, apart)
+            found.append(float(errors @ np.linalg.solve(matrix, errors)) / len(errors))
+    return float(np.mean(found)), float(np.max(found))
 
 
 def by_time(folder: Path, rows: list[dict[str, Any]], finest_mm: float) -> list[list[Any]]:
@@ -264,8 +280,13 @@ def main() -> None:
     if choice.times:
         rows = collect(choice.folder, seeds, ((1, 8.0), (1, 6.0), (1, 4.0), (2, 6.0), (2, 4.0)), "times.jsonl", TIMES)
         print_table("By time", ["order", "cells (mm)", "time", "errors", "within twice (%)"], by_time(choice.folder, rows, 4.0))
-        found = {str(order): together(choice.folder, rows, 4.0, order) for order in (1, 2)}
-        for order, groups in found.items():
+        found = {}
+        for order in (1, 2):
+            samples = over_stated(choice.folder, rows, 4.0, order)
+            groups = found[str(order)] = measured(sample for own in samples.values() for sample in own)
+            for apart in (0.0, error_correlation.APART):
+                mean, most = jointly(samples, order, apart)
+                print(f"order {order}, {apart:g} of an error apart: unseen chi^2 over p: mean {mean:.2f}, most {most:.1f}")
             largest = sorted(groups.items(), key=lambda item: -abs(item[1]))[:12]
             print(f"order {order}: " + "; ".join(f"{name} {value:.2f}" for name, value in largest))
         if choice.write:

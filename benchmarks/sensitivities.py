@@ -20,17 +20,15 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from prepared import prepared
 
 from lacli.cli.terminal.console import print_json, print_table
-from lacli.contracts import bundle as bundles
 from lacli.contracts.case import Case
-from lacli.contracts.motion import save_motion
 from lacli.contracts.parameters import parameter_box
 from lacli.contracts.scene import Scene, build_scene, with_parameters
 from lacli.mechanics import deck, plan, results, sensitivities
 from lacli.mechanics.execute import run_scenes
 from lacli.mechanics.simulation import RunResult
-from lacli.synthetic.atrium import synthesize
 
 ASKED_ERROR = 1e-4
 ASKED_COST, ASKED_COST_FRAMES = 0.08, 0.25  # of a run: at end-systole alone, in frames too
@@ -151,11 +149,7 @@ def main() -> None:
     choice = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="lacli-sensitivities-") as temporary:
         out = (choice.out or Path(temporary)).resolve()
-        folder = out / f"bundle_{choice.seed}_{choice.cell_size_mm:g}mm"
-        if not folder.is_dir():
-            bundle, motion = synthesize(choice.seed, None, cell_size_mm=choice.cell_size_mm)
-            bundles.save(bundle, folder)
-            save_motion(motion, folder)
+        folder = prepared(out, choice.seed, choice.cell_size_mm)
         settings = [
             f"numerics.order={choice.order}",
             f"outputs.frames={choice.frames}",

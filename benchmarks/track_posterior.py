@@ -23,15 +23,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from scipy.spatial import cKDTree
+from track import true_values
 
 import lacli
 from lacli.calibration.sequential.result import Sequential
 from lacli.calibration.sequential.search import Settings
 from lacli.cli.terminal.console import print_json, print_table
 from lacli.contracts.bundle import Bundle, load, save
-from lacli.contracts.features import parse
 from lacli.contracts.motion import Motion, load_motion, save_motion
 from lacli.contracts.scene import build_scene
 from lacli.contracts.targets import Targets
@@ -39,7 +38,7 @@ from lacli.motion import frames as framing
 from lacli.motion.annulus import annulus_points
 from lacli.motion.patient import Settings as Tracking
 from lacli.motion.patient import Tracked, track
-from lacli.motion.targets import Covaried, measured
+from lacli.motion.targets import measured
 from lacli.synthetic.atrium import synthesize
 
 ASKED = 0.5
@@ -54,18 +53,6 @@ def carried(motion: Motion, bundle: Bundle, coarse: Bundle) -> Motion:
     weight /= weight.sum(axis=1, keepdims=True)
     moved = np.einsum("nk,fnki->fni", weight, motion.displacement()[:, near])
     return Motion(motion.times, ids, coarse.points[ids] + moved, motion.es_time)
-
-
-def true_values(found: Covaried, folder: Path) -> np.ndarray:
-    """(p,): the targets' values of the true motion, at its own end-systole and at the frames' times."""
-    frames = pd.read_csv(folder / "truth" / "transients.csv").set_index("time")
-    es = json.loads((folder / "truth" / "es.json").read_text())
-    values = []
-    for name in found.targets.names:
-        feature, moment = parse(name)
-        key = "volume_ml" if feature.key == "esv_ml" else feature.key
-        values.append(es[key] if moment is None else frames.iloc[int(np.argmin(np.abs(frames.index - moment)))][key])
-    return np.array(values, dtype=float)
 
 
 def tracked_of(folder: Path, bundle: Bundle) -> Tracked:
@@ -110,7 +97,7 @@ def patient(folder: Path, choice: argparse.Namespace) -> dict[str, Any]:
     times = [float(t) for t in tracked.course.times if 0.0 < t < tracked.course.phases.es - 0.02][-choice.frames :]
     seen_targets = measured(tracked.course, tracked.model, times)
     names, sd = seen_targets.targets.names, seen_targets.targets.sd
-    values = true_values(seen_targets, folder)
+    values = true_values(names, folder)
     coarse, _ = synthesize(
         info["seed"], **{**info["atrium"], "cell_size_mm": choice.cell_size_mm, "order": 2 if choice.cheap else 1}
     )

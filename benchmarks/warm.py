@@ -17,17 +17,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from prepared import prepared
 from sensitivities import POINTS
 
 from lacli.cli.terminal.console import print_json, print_table
-from lacli.contracts import bundle as bundles
-from lacli.contracts.motion import save_motion
 from lacli.contracts.parameters import QUANTITIES
 from lacli.contracts.scene import Scene, build_scene, with_parameters
 from lacli.inference.box import OUTPUTS
 from lacli.mechanics import warm
 from lacli.mechanics.simulation import RunResult, run_scene
-from lacli.synthetic.atrium import synthesize
 
 ASKED_FACTORS, ASKED_STEP, ASKED_LOST = 5, 0.1, 15
 SAME = 2e-4  # of a feature: two tolerances (1e-4 mm) of the scenes
@@ -96,11 +94,7 @@ def main() -> None:
     rows = []
     with tempfile.TemporaryDirectory(prefix="lacli-warm-") as temporary:
         out = (choice.out or Path(temporary)).resolve()
-        folder = out / f"bundle_{choice.seed}_{choice.cell_size_mm:g}mm"
-        if not folder.is_dir():
-            bundle, motion = synthesize(choice.seed, None, cell_size_mm=choice.cell_size_mm)
-            bundles.save(bundle, folder)
-            save_motion(motion, folder)
+        folder = prepared(out, choice.seed, choice.cell_size_mm)
         settings = [
             f"numerics.order={choice.order}",
             f"outputs.frames={choice.frames}",

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import permutations, product
 
 import numpy as np
 import pyvista as pv
 
 from lacli.anatomy.cuts.cut import Cut, cut_open
+from lacli.anatomy.wall.shell import mesh_shell
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.labels import ENDO, EPI
 from lacli.geometry.surface import Surface
@@ -27,6 +29,15 @@ def icosphere(radius: float, subdivisions: int) -> Surface:
 def cut_ball() -> Surface:
     """A ball of 20 mm with the part above z = 14 mm cut off, the cut labelled 21."""
     return cut_open(icosphere(RADIUS, 4), Cut(np.array([0.0, 0, HEIGHT]), np.array([0.0, 0, 1]), 40.0, 21))
+
+
+def fibrous_ball(order: int) -> Bundle:
+    """A ball of 20 mm radius cut at z = 14 mm, wall 2 mm, fibres around z, pericardium from the cut (0) to the far pole (1)."""
+    bundle = mesh_shell(cut_ball(), 2.0, 9.0, order=order)
+    centre = bundle.points[bundle.tets[:, :4]].mean(axis=1)
+    fibre = np.cross([0.0, 0.0, 1.0], centre) + np.array([1e-9, 0.0, 0.0])
+    height = np.clip((HEIGHT - bundle.points[:, 2]) / (RADIUS + HEIGHT), 0, 1)
+    return replace(bundle, fibre=fibre / np.linalg.norm(fibre, axis=1, keepdims=True), pericardium_coordinate=height)
 
 
 def hollow_cube(size: float = 30.0) -> Bundle:

@@ -130,9 +130,9 @@ def _influences(study: Path, pictures: Path) -> Section | None:
     cells = tuple((name, number(of_all, 2), number(most, 2)) for name, of_all, most in ranking)
     table = Table("Ranking", ("input", "mean share", "largest share"), cells)
     count = len({row["participant_id"] for row in rows})
-    mean = f"mean over {count} patients" if count > 1 else "of one patient"
+    whose = f"mean over {count} patients" if count > 1 else "of one patient"
     said = (
-        f"To first order about each patient's most probable point, under the prior; {mean}."
+        f"To first order about each patient's most probable point, under the prior; {whose}."
         " In colour: the inputs that together make 90 % of a feature's variance.",
     )
     figure = picture(files[0], "Share of each feature's variance by input (%, where 5 or more).")

@@ -36,7 +36,9 @@ def held_against(folder: Path, targets: Targets) -> Targets:
     }
     if not any(errors.values()):
         return targets
-    order = read_json(folder / IDENTITY).get("content", {}).get(_ORDER)
+    identity = read_json(folder / IDENTITY)
+    content = identity.get("content") if isinstance(identity, dict) else None
+    order = content.get(_ORDER) if isinstance(content, dict) else None
     if order not in (1, 2):
         raise InputError(f"{folder / IDENTITY}: tells no order of the cells, by which its discretisation errors go together.")
     return targets.widened(errors, correlation(targets.names, targets.mean, order))

@@ -83,3 +83,10 @@ def kind_of(key: str) -> tuple[str, str]:
         if f"_{region}" in key:
             return key.replace(f"_{region}", "").removesuffix("_mm"), region
     return ("d_global" if key == "d_global_mm" else key.removesuffix("_ml")), ""
+
+
+def family(name: str) -> str:
+    """What features of all times share: ``n_roof_mm`` of ``n_roof_mm@0.25``, ``volume_ml`` of ``esv_ml``. ValueError for what is
+    no feature."""
+    feature, _ = parse(name)
+    return "volume_ml" if feature.key == "esv_ml" else feature.key

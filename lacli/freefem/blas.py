@@ -17,7 +17,7 @@ def kernel_of(cpuinfo: str) -> str | None:
     """The kernel for an Intel processor by what /proc/cpuinfo says it can; None: OpenBLAS's own choice is as good.
 
     OpenBLAS chooses by the model's number, and takes one that is newer than itself for a Pentium 4 (``Prescott``), whose kernel
-    multiplies matrices at an eighth of the speed. Models that it knows get the same kernels as here.
+    uses none of the newer instructions. Models that it knows get the same kernels as here.
     """
     lines = (line.partition(":") for line in cpuinfo.splitlines())
     said: dict[str, str] = {}

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from shapes import cut_ball
+from shapes import fibrous_ball
 
-from lacli.anatomy.wall.shell import mesh_shell
 from lacli.base import resources
 from lacli.base.errors import SolverMissingError
 from lacli.contracts import bundle as bundles
@@ -97,17 +96,10 @@ TASKS = ((0, 1), (1, 3), (4, 1), (5, 3), (3, 2), (0, 1), (1, 3))  # and how many
 @pytest.fixture(scope="module")
 def ball() -> Bundle:
     """A ball of 20 mm radius cut at z = 14 mm, wall 2 mm, fibres around z, a patch of its far side tagged as a vein's ring."""
-    bundle = mesh_shell(cut_ball(), 2.0, 9.0, order=2)
-    centre = bundle.points[bundle.tets[:, :4]].mean(axis=1)
-    fibre = np.cross([0.0, 0.0, 1.0], centre) + np.array([1e-9, 0.0, 0.0])
+    bundle = fibrous_ball(order=2)
     middle = bundle.points[bundle.triangles[:, :3]].mean(axis=1)
     vein = (bundle.tags == EPI) & (middle[:, 2] < -12) & (middle[:, 0] > 0)
-    return replace(
-        bundle,
-        fibre=fibre / np.linalg.norm(fibre, axis=1, keepdims=True),
-        pericardium_coordinate=np.clip((14.0 - bundle.points[:, 2]) / 34.0, 0, 1),
-        tags=np.where(vein, RINGS["rspv"], bundle.tags),
-    )
+    return replace(bundle, tags=np.where(vein, RINGS["rspv"], bundle.tags))
 
 
 @pytest.fixture(scope="module")

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
-from shapes import cut_ball
+from shapes import fibrous_ball
 
-from lacli.anatomy.wall.shell import mesh_shell
 from lacli.api.methods.sequential import lacking
 from lacli.contracts import bundle as bundles
 from lacli.contracts.bundle import Bundle
@@ -22,12 +19,7 @@ SPRINGS = ("pericardium.k_peri_kpa_per_um=0.001", "loads.edp_mmhg=3")
 
 @pytest.fixture(scope="module")
 def ball() -> Bundle:
-    """A ball of 20 mm radius cut at z = 14 mm, wall 2 mm, fibres around z, pericardium from the cut (0) to the far pole (1)."""
-    bundle = mesh_shell(cut_ball(), 2.0, 9.0, order=1)
-    centre = bundle.points[bundle.tets[:, :4]].mean(axis=1)
-    fibre = np.cross([0.0, 0.0, 1.0], centre) + np.array([1e-9, 0.0, 0.0])
-    height = np.clip((14.0 - bundle.points[:, 2]) / 34.0, 0, 1)
-    return replace(bundle, fibre=fibre / np.linalg.norm(fibre, axis=1, keepdims=True), pericardium_coordinate=height)
+    return fibrous_ball(order=1)
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shapes import cut_ball, icosphere
+from shapes import fibrous_ball, icosphere
 
 from lacli.anatomy.surface_features import cavity_volume_ml, surface_features
-from lacli.anatomy.wall.shell import mesh_shell
 from lacli.base.errors import AnatomyError, InputError, SceneError, SimulationError, StorageError, UsageError
 from lacli.contracts import bundle as bundles
 from lacli.contracts.bundle import Bundle, as_order
@@ -29,12 +28,7 @@ from lacli.synthetic.atrium import synthesize
 
 @pytest.fixture(scope="module")
 def ball() -> Bundle:
-    """A ball of 20 mm radius cut at z = 14 mm, wall 2 mm, fibres around z, pericardium from the cut (0) to the far pole (1)."""
-    bundle = mesh_shell(cut_ball(), 2.0, 9.0, order=2)
-    centre = bundle.points[bundle.tets[:, :4]].mean(axis=1)
-    fibre = np.cross([0.0, 0.0, 1.0], centre) + np.array([1e-9, 0.0, 0.0])
-    height = np.clip((14.0 - bundle.points[:, 2]) / 34.0, 0, 1)
-    return replace(bundle, fibre=fibre / np.linalg.norm(fibre, axis=1, keepdims=True), pericardium_coordinate=height)
+    return fibrous_ball(order=2)
 
 
 @pytest.fixture(scope="module")

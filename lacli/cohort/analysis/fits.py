@@ -12,7 +12,7 @@ import numpy as np
 from lacli.base.documents import read_json
 from lacli.base.errors import AnatomyError, InputError
 from lacli.cohort.comparison import STRONG
-from lacli.contracts.features import parse
+from lacli.contracts.features import family, parse
 
 
 @dataclass(frozen=True)
@@ -84,16 +84,17 @@ def courses(patient: str, result: Mapping[str, Any], es_time: float | None) -> l
     rows = []
     for fit in result["fit"]:
         try:
-            feature, moment = parse(str(fit["feature"]))
+            _, moment = parse(str(fit["feature"]))
         except ValueError:
             continue  # a target of the user's own
         time, value = es_time if moment is None else moment, _value(fit)
         if time is None or value is None:
             continue
-        key = "volume_ml" if feature.key == "esv_ml" else feature.key
         sd = fit.get("own_sd") or fit["sd"]
-        rows.append({"participant_id": patient, "feature": key, "time": float(time), "target": float(fit["target"]),
-                     "sd": float(sd), "at_map": value})  # fmt: skip
+        rows.append({
+            "participant_id": patient, "feature": family(str(fit["feature"])), "time": float(time),
+            "target": float(fit["target"]), "sd": float(sd), "at_map": value,
+        })  # fmt: skip
     return rows
 
 

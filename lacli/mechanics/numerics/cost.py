@@ -2,7 +2,7 @@
 
 The price of a system of n unknowns is known: the wall is thin, so a sparse direct solution costs nearly as in two dimensions,
 n^1.5 (George 1973, SIAM J Numer Anal 10:345), assembly n; with the number of systems a run takes given, it tells CPU seconds
-within 25 % for 19 of 20 runs, from 2,500 to 208,000 unknowns. Memory is the factors' n log n, near enough n.
+within 25 % for most runs. Memory is the factors' n log n, near enough n.
 
 How many systems a scene takes is known in the middle only: Newton's method takes some three for the prestrain and eight to
 end-systole where the wall stays smooth, and tens where a soft region at high pressure snaps through, which no number of the

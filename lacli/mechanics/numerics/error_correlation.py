@@ -9,7 +9,7 @@ same; ``error_correlation.json``, written by ``benchmarks/errors.py --times --wr
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,12 +19,13 @@ import numpy as np
 from lacli.base.arrays import BoolArray, FloatArray
 from lacli.base.documents import read_json
 from lacli.base.errors import InputError
-from lacli.contracts.features import kind_of, parse
+from lacli.contracts.features import family, kind_of
 from lacli.contracts.tables.covariance import nearest_correlation
 
 FILE = Path(__file__).with_name("error_correlation.json")
 # share of an error that goes with no other: groups of pairs do not tell how each single pair goes together, and what they seem to
-# exclude is not excluded (errors of anatomies left out: mean chi^2 over their number 1.3 and 3.9 without, .66 and .64 with it)
+# exclude is not excluded (errors of anatomies left out, linear and quadratic cells: mean chi^2 over their number 1.6 and 8.6
+# without, 1.05 and .69 with it; benchmarks/errors.py --times)
 APART = 0.1
 
 
@@ -41,11 +42,10 @@ class _Labels:
         rows = []
         for name in names:
             try:
-                feature, _ = parse(name)
+                kind, region = kind_of(family(name))
             except ValueError:
                 rows.append((name, "", name))
                 continue
-            kind, region = kind_of("volume_ml" if feature.key == "esv_ml" else feature.key)
             rows.append((kind, region, name.partition("@")[2]))
         kinds, regions, times = zip(*rows, strict=True) if rows else ((), (), ())
         return cls(kinds, regions, times)
@@ -68,7 +68,12 @@ def correlation(names: Sequence[str], values: FloatArray, order: int) -> FloatAr
     """
     if not names:
         return np.zeros((0, 0))
-    known = _table()[str(order)]
+    return of_groups(names, values, _table()[str(order)], APART)
+
+
+def of_groups(names: Sequence[str], values: FloatArray, known: Mapping[str, float], apart: float) -> FloatArray:
+    """(p, p) correlation of features with these values by the correlations of groups, as ``measured`` gives them; apart: the
+    share of an error that goes with no other."""
     labels = _Labels.of(names)
     one_region, one_time = labels.same()
     sign = _sign(labels, np.asarray(values, dtype=float))
@@ -76,7 +81,7 @@ def correlation(names: Sequence[str], values: FloatArray, order: int) -> FloatAr
     table = np.array(
         [[[[known.get(_group(a, b, bool(r), bool(t)), 0.0) for t in (0, 1)] for r in (0, 1)] for b in kinds] for a in kinds]
     )
-    result = (1.0 - APART) * np.outer(sign, sign) * table[at[:, None], at[None], one_region.astype(int), one_time.astype(int)]
+    result = (1.0 - apart) * np.outer(sign, sign) * table[at[:, None], at[None], one_region.astype(int), one_time.astype(int)]
     np.fill_diagonal(result, 1.0)
     return nearest_correlation(result)
 

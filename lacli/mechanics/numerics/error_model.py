@@ -23,7 +23,7 @@ from lacli.base.arrays import IntArray
 from lacli.base.documents import read_json
 from lacli.base.errors import InputError
 from lacli.contracts.bundle import Bundle
-from lacli.contracts.features import parse
+from lacli.contracts.features import family
 from lacli.contracts.labels import BODY_REGIONS, ENDO, is_body
 from lacli.geometry.tetrahedra import volumes
 from lacli.geometry.triangles import area_normals
@@ -63,13 +63,6 @@ def resolution(bundle: Bundle, order: int) -> Resolution:
 
 def _area(bundle: Bundle, corners: IntArray) -> float:
     return 0.5 * float(np.linalg.norm(area_normals(bundle.points[corners]), axis=1).sum())
-
-
-def family(name: str) -> str:
-    """What features of all times share: ``n_roof_mm`` of ``n_roof_mm@0.25``, ``volume_ml`` of ``esv_ml``. ValueError for what is
-    no feature."""
-    feature, _ = parse(name)
-    return "volume_ml" if feature.key == "esv_ml" else feature.key
 
 
 def moved_mm(features: Mapping[str, Any]) -> dict[str, float]:

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 
 from lacli.base.arrays import BoolArray, FloatArray
 from lacli.base.errors import InputError
-from lacli.contracts.features import KEYS, kind_of, parse
+from lacli.contracts.features import KEYS, family, kind_of, parse
 from lacli.motion.errors.shrinkage import spread
 
 SAME_TIME = 0.02  # of the cycle: a target so near to a frame has used it
@@ -119,10 +119,10 @@ def _used(times: FloatArray, keys: tuple[str, ...], targets: Iterable[str], es_t
     used = np.zeros((len(times), len(keys)), dtype=bool)
     for name in targets:
         try:
-            feature, moment = parse(name)
+            _, moment = parse(name)
         except ValueError:
             continue  # a target of the user's own
-        key = "volume_ml" if feature.key == "esv_ml" else feature.key
+        key = family(name)
         at = es_time if moment is None else moment
         if key not in keys or at is None:
             continue

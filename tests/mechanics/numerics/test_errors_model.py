@@ -11,11 +11,11 @@ import pytest
 from shapes import hollow_cube
 
 from lacli.contracts.bundle import save
-from lacli.contracts.features import FEATURES
+from lacli.contracts.features import FEATURES, family
 from lacli.contracts.scene import build_scene
 from lacli.contracts.targets import Targets
 from lacli.mechanics.numerics import accuracy, error_model
-from lacli.mechanics.numerics.error_model import Resolution, family, model_errors, moved_mm, resolution, scale
+from lacli.mechanics.numerics.error_model import Resolution, model_errors, moved_mm, resolution, scale
 from lacli.mechanics.numerics.stated import MEASURED, MODEL, said_of, stated_errors, with_discretisation
 
 WHERE = Resolution(1, 4.0, 100.0, 2.0)
