@@ -24,6 +24,7 @@ def measure(bundle: Bundle) -> tuple[dict[str, Any], Thickness]:
     corner = bundle.tets[:, :4]
     quality = scaled_jacobian(bundle.points, corner)
     volume = cell_volumes(bundle.points, corner)
+    curved = curved_jacobian(bundle.points, bundle.tets)
     thick = of_bundle(bundle)
     edges = bundle.points[corner[:, [0, 0, 0, 1, 1, 2]]] - bundle.points[corner[:, [1, 2, 3, 2, 3, 3]]]
     names = {**REGIONS, **{f"{n} ring": v for n, v in RINGS.items()}}
@@ -34,7 +35,7 @@ def measure(bundle: Bundle) -> tuple[dict[str, Any], Thickness]:
         "mean_edge_mm": float(np.linalg.norm(edges, axis=2).mean()),
         "scaled_jacobian_min": float(quality.min()),
         "scaled_jacobian_share_below_0.2": float((quality < 0.2).mean()),
-        "inverted_cells": int((volume <= 0).sum()),
+        "inverted_cells": int(((volume <= 0) | (curved <= 0)).sum()),
         "cavity_volume_ml": bundle.cavity_volume_ml(),
         "wall_volume_ml": bundle.wall_volume_ml(),
         "region_volume_ml": {
@@ -44,7 +45,7 @@ def measure(bundle: Bundle) -> tuple[dict[str, Any], Thickness]:
         "thickness_median_difference_mm": thick.median_difference_mm,
     }
     if bundle.order == 2:
-        report["curved_jacobian_min"] = float(curved_jacobian(bundle.points, bundle.tets).min())
+        report["curved_jacobian_min"] = float(curved.min())
     if bundle.uac is not None:
         report["folded_coordinate_share"] = folded_share(bundle)
     return report, thick

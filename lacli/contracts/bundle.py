@@ -17,7 +17,8 @@ from lacli.base.errors import AnatomyError
 from lacli.base.quiet import quiet, reason
 from lacli.contracts.labels import ENDO, EPI, OTHER, PLANES, REGIONS, RINGS, is_plane
 from lacli.geometry.quadrature import enclosed_volume_ml
-from lacli.geometry.tetrahedra import TET10_EDGES, boundary_faces
+from lacli.geometry.tetrahedra import TET10_EDGES, boundary_faces, curved_jacobian
+from lacli.geometry.tetrahedra import volumes as cell_volumes
 
 LEAST_CAVITY_ML, MOST_CAVITY_ML = 0.9, 1500.0
 FURTHEST_MM = 1e5
@@ -267,12 +268,18 @@ def check(bundle: Bundle, where: str) -> None:
         raise AnatomyError(f"{where}: a point of the wall lies at {furthest:.3g} mm, further away than a heart can be.")
     if bundle.tets.min() < 0 or bundle.tets.max() >= len(bundle.points):
         raise AnatomyError(f"{where}: a cell names a point that does not exist.")
-    a, b, c, d = (bundle.points[bundle.tets[:, i]] for i in range(4))
-    volume = np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a)) / 6.0
+    volume = cell_volumes(bundle.points, bundle.tets)
     if np.any(volume <= 0):
         bad = int(np.argmin(volume))
         raise AnatomyError(
             f"{where}: {int((volume <= 0).sum())} inverted or flat cells, the worst is {bad} ({volume[bad]:.3g} mm3). Mesh again."
+        )
+    bent = curved_jacobian(bundle.points, bundle.tets)
+    if np.any(bent <= 0):
+        bad = int(np.argmin(bent))
+        raise AnatomyError(
+            f"{where}: {int((bent <= 0).sum())} curved cells are folded by the nodes on their edges, the worst is {bad} "
+            f"(its Jacobian falls to {bent[bad]:.3g} of the mean). Mesh again, or move those nodes to the edges' middles."
         )
     if len(bundle.region) != len(bundle.tets) or len(bundle.tags) != len(bundle.triangles):
         raise AnatomyError(f"{where}: 'region' or 'tag' does not have one value per cell.")

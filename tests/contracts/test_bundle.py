@@ -96,6 +96,16 @@ def two_pieces() -> Bundle:
     )
 
 
+def folded_cell() -> Bundle:
+    """10-node cells, straight but for one edge within the wall, whose middle lies beyond a corner of its cell."""
+    one = curved(hollow_cube())
+    points = one.points.copy()
+    cell, edge = np.argwhere(~np.isin(one.tets[:, 4:], one.triangles))[0]
+    node, away = one.tets[cell, 4 + edge], next(k for k in range(4) if k not in TET10_EDGES[edge])
+    points[node] += 2 * (points[one.tets[cell, away]] - points[node])
+    return replace(one, points=points)
+
+
 def one_value(array: str, value: float) -> Bundle:
     changed = getattr(hollow_cube(), array).copy()
     changed[3] = value
@@ -120,6 +130,7 @@ def flipped_triangle() -> Bundle:
     [
         (nan_point, "point 7 of the wall has a coordinate that is not finite"),
         (inverted_cell, r"1 inverted or flat cells, the worst is 5 \(-167 mm3\)"),
+        (folded_cell, r"curved cells are folded by the nodes on their edges, the worst is \d+ \(its Jacobian falls to -"),
         (two_pieces, "falls into 2 unconnected pieces"),
         (lambda: broken(points=np.vstack([hollow_cube().points, [[1.0, 1, 1]]]), transmural=None), "1 points belong to no cell"),
         (lambda: broken(points=hollow_cube().points * 1000), "30000 mm wide; are the lengths micrometres"),
