@@ -1,14 +1,15 @@
 """One patient from end to end with the truth known: targets with drawn, correlated noise; runs, posterior. Synthetic atrium.
 
     python benchmarks/patient.py [--cell-size-mm 6] [--order 1] [--seed 1] [--truths 1 2 3] [--few] [--shared] [--reference 200]
-                                 [--real] [--out DIR] [--json]
+                                 [--real] [--cheap order=1] [--warm] [--out DIR] [--json]
 
 Each truth is drawn from the inner part of the box and simulated; its 90 targets (magnitudes, components along normal and
 universal coordinates, area strain and volume, at end-systole and in three frames) get errors of 0.2 mm, 5 % of the
 end-diastolic volume and 0.02 of strain, correlated between frames (.5) and between features of a region's motion (.3), and are
 calibrated against. With --shared a truth starts from the runs of those before it that lie nearest to its targets (those are not
 counted; truth 3005 is a run of truth 3's calibration, the fifth from its end, and not among those). --real: the anatomy is a real
-one (Rodero et al. 2021, case 01). Kept in DIR, and gone on with. Printed: asked beside measured.
+one (Rodero et al. 2021, case 01). --cheap, --warm: as of `lacli calibrate`. Kept in DIR, and gone on with. Printed: asked beside
+measured.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import argparse
 import json
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +27,10 @@ from real_atrium import DATA, made
 
 from lacli.base.files import write_json
 from lacli.calibration.sequential.calibration import calibrate_sequentially
+from lacli.calibration.sequential.fidelity.companion import companion
+from lacli.calibration.sequential.outputs import CHEAP, LOG
 from lacli.calibration.sequential.result import Sequential
-from lacli.calibration.sequential.search import Settings, Status
+from lacli.calibration.sequential.search import Reference, Settings, Status
 from lacli.calibration.simulator import SceneSimulator, simulator
 from lacli.cli.terminal.console import err, print_json, print_table
 from lacli.contracts import bundle as bundles
@@ -75,11 +79,23 @@ def draw_truth(box: Box, rng: np.random.Generator) -> np.ndarray:
 
 
 def calibrated(
-    run: SceneSimulator, box: Box, targets: Targets, settings: Settings, folder: Path, pool: list[RunLog]
+    run: SceneSimulator,
+    cheaper: SceneSimulator | None,
+    box: Box,
+    targets: Targets,
+    settings: Settings,
+    folder: Path,
+    pool: list[RunLog],
 ) -> tuple[Sequential, int, float]:
-    """The calibration, how many runs it was given, and its wall minutes. pool: logs of other truths, whose runs nearest to the
-    targets it starts from."""
-    log = RunLog(folder / "runs.csv", box.names, targets.names, runs_identity(run, box.names, targets.names))
+    """The calibration, how many runs it was given, and its wall minutes. cheaper: runs that carry the search, corrected by few of
+    the others; pool: logs of other truths, whose runs nearest to the targets it starts from."""
+
+    def kept(of: SceneSimulator, name: str) -> RunLog:
+        return RunLog(folder / name, box.names, targets.names, runs_identity(of, box.names, targets.names))
+
+    log, reference = kept(run, LOG), None
+    if cheaper is not None:
+        run, log, reference = cheaper, kept(cheaper, CHEAP), Reference(run, log)
     begin, stage, first = time.monotonic(), "", None
     if pool:
         rows = {x: row for other in pool for x, row in other.rows.items() if row["status"] == "done"}
@@ -95,7 +111,7 @@ def calibrated(
             stage = status.stage
             err.print(f"{time.monotonic() - begin:6.0f} s  {status.runs:3d} runs  {stage}", highlight=False)
 
-    found = calibrate_sequentially(run, box, targets, settings, folder, log, show, first=first)
+    found = calibrate_sequentially(run, box, targets, settings, folder, log, show, first=first, reference=reference)
     return found, len(first) if first is not None else 0, (time.monotonic() - begin) / 60.0
 
 
@@ -136,7 +152,13 @@ def reference(run: SceneSimulator, box: Box, targets: Targets, found: Sequential
 
 
 def one(
-    run: SceneSimulator, box: Box, names: tuple[str, ...], number: int, out: Path, choice: argparse.Namespace
+    run: SceneSimulator,
+    cheaper: SceneSimulator | None,
+    box: Box,
+    names: tuple[str, ...],
+    number: int,
+    out: Path,
+    choice: argparse.Namespace,
 ) -> dict[str, Any]:
     """Truth ``number``: simulated, blurred by its noise, calibrated against; kept, and not made again."""
     kind = "few" if choice.few else "many"
@@ -172,7 +194,8 @@ def one(
         for other in pool:
             other.rows.pop(tuple(truth.tolist()), None)
     settings = Settings(seed=number, max_runs=60 + _GIVEN * bool(pool))
-    found, given, minutes = calibrated(run, box, targets, settings, folder / "calibration", pool)
+    chosen = replace(run, warm=choice.warm)
+    found, given, minutes = calibrated(chosen, cheaper, box, targets, settings, folder / "calibration", pool)
     alpha = {str(r["input"]): float(r["sd"]) for r in found.table if str(r["input"]).startswith("alpha_")}
     within = inside(found, truth)
     row = {
@@ -184,6 +207,8 @@ def one(
         "modes": len(found.minima), "elsewhere": found.sweep.elsewhere, "box open": found.sweep.open_,
         "stages": found.stages, "refused": found.refused, "converged": found.chain.converged,
     }  # fmt: skip
+    if found.fidelity is not None:
+        row["corrected by"] = found.fidelity.words()
     if choice.reference:
         row["reference"] = reference(run, box, targets, found, choice.reference, folder)
     write_json(kept, row)
@@ -219,6 +244,8 @@ def main() -> None:
     parser.add_argument("--few", action="store_true", help="against the seven published targets alone")
     parser.add_argument("--shared", action="store_true", help="truths start from the runs of those before")
     parser.add_argument("--reference", type=int, default=0, help="so many draws of the posterior are run, to weigh them anew")
+    parser.add_argument("--cheap", nargs="+", default=[], help="key=value of the cheap runs that few of the others correct")
+    parser.add_argument("--warm", action="store_true", help="runs start from the nearest that has ended")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, help="where everything is kept (and found again); else it is thrown away")
     parser.add_argument("--json", action="store_true")
@@ -239,7 +266,10 @@ def main() -> None:
         es = 0.4
         names = OUTPUTS if choice.few else names_of(es)
         run = simulator(scene, out / "runs", choice.workers, targets=names)
-        rows = [one(run, box, names, number, out, choice) for number in choice.truths]
+        cheaper = None
+        if choice.cheap:
+            cheaper = simulator(companion(scene, choice.cheap), out / "runs", choice.workers, targets=names, warm=choice.warm)
+        rows = [one(run, cheaper, box, names, number, out, choice) for number in choice.truths]
     if choice.json:
         print_json({"asked": ASKED, "summary": summary(rows), "rows": rows})
         return
