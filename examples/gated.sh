@@ -6,16 +6,13 @@
 # FRAMES (10); SETTINGS and SCENE (gated.toml and gated_scene.toml beside this file).
 # Started again it goes on where it was.
 set -euo pipefail
-source "$(dirname "${BASH_SOURCE[0]}")/install.sh"
-install_lacli
+source "$(dirname "${BASH_SOURCE[0]}")/patients.sh"
+begin gated 2 "$@"
 
-RESULTS="${1:-$ROOT/results/gated}"
-PATIENTS="${2:-2}"
 VOXEL_MM="${VOXEL_MM:-1.5}"
 FRAMES="${FRAMES:-10}"
 SETTINGS="${SETTINGS:-$ROOT/examples/gated.toml}"
 SCENE="${SCENE:-$ROOT/examples/gated_scene.toml}"
-[[ "$PATIENTS" =~ ^[1-9][0-9]*$ ]] || die "$PATIENTS patients; a whole number, 1 or more."
 COHORT="$RESULTS/cohort"
 STUDY="$RESULTS/study"
 mkdir -p "$COHORT"
@@ -44,14 +41,10 @@ PY
 
 say "what will be done, and what it costs"
 "$BIN/lacli" cohort "$COHORT/participants.csv" --out "$STUDY" --scene "$SCENE" --settings "$SETTINGS" --dry-run
-WRONG=()
 say "the study"
-"$BIN/lacli" cohort "$COHORT/participants.csv" --out "$STUDY" --scene "$SCENE" --settings "$SETTINGS" ||
-  WRONG+=("a patient failed")
+try "a patient failed" "$BIN/lacli" cohort "$COHORT/participants.csv" --out "$STUDY" --scene "$SCENE" --settings "$SETTINGS"
 say "truths against posteriors"
-"$PYTHON" "$ROOT/benchmarks/study.py" "$COHORT" "$STUDY" || WRONG+=("a claim is the wrong way round, or none is done")
+try "a claim is the wrong way round, or none is done" "$PYTHON" "$ROOT/benchmarks/study.py" "$COHORT" "$STUDY"
 say "the page"
 "$BIN/lacli" report "$STUDY" --out "$RESULTS/report.html"
-for words in ${WRONG[@]+"${WRONG[@]}"}; do say "$words (see above)"; done
-say "done: $RESULTS/report.html"
-[ "${#WRONG[@]}" -eq 0 ]
+finish "$RESULTS/report.html"

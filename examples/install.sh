@@ -1,4 +1,4 @@
-# Sourced by examples/run.sh and tests/run.sh: system packages, virtual environment .venv, lacli.
+# Sourced by examples and tests/run.sh: system packages, virtual environment .venv, lacli.
 # Does nothing twice: what is there is kept. After it, $PYTHON is the environment's Python and $BIN its bin folder.
 # shellcheck shell=bash
 

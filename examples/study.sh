@@ -6,25 +6,13 @@
 # this file). Three patients take about 6 CPU minutes.
 # Started again it goes on where it was.
 set -euo pipefail
-source "$(dirname "${BASH_SOURCE[0]}")/install.sh"
-install_lacli
+source "$(dirname "${BASH_SOURCE[0]}")/patients.sh"
+begin study 3 "$@"
 
-RESULTS="${1:-$ROOT/results/study}"
-PATIENTS="${2:-3}"
 CELL_MM="${CELL_MM:-8}"
 TARGETS="${TARGETS:-published}"
 SETTINGS="${SETTINGS:-$ROOT/examples/study.toml}"
 read -r -a ARMS <<<"${ARMS:-heterogeneous}"
-[[ "$PATIENTS" =~ ^[1-9][0-9]*$ ]] || die "$PATIENTS patients; a whole number, 1 or more."
-mkdir -p "$RESULTS"
-
-# what goes wrong with one patient, or is not as it should be, is told at the end; the report is made all the same
-WRONG=()
-try() {
-  local what="$1"
-  shift
-  "$@" || WRONG+=("$what")
-}
 
 for arm in "${ARMS[@]}"; do
   COHORT="$RESULTS/$arm/cohort"
@@ -46,6 +34,4 @@ for arm in "${ARMS[@]}"; do
   say "$arm: the page"
   "$BIN/lacli" report "$STUDY" --out "$RESULTS/$arm/report.html"
 done
-for words in ${WRONG[@]+"${WRONG[@]}"}; do say "$words (see above)"; done
-say "done: pages are $RESULTS/*/report.html"
-[ "${#WRONG[@]}" -eq 0 ]
+finish "pages are $RESULTS/*/report.html"

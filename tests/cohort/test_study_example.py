@@ -28,7 +28,8 @@ def call(tmp_path: Path, *words: str, script: str = "study.sh", lacli: str = "")
     home, programs = tmp_path / "examples", tmp_path / "bin"
     for folder in (home, programs):
         folder.mkdir(exist_ok=True)
-    shutil.copy(ROOT / "examples" / script, home)
+    for name in (script, "patients.sh"):
+        shutil.copy(ROOT / "examples" / name, home)
     (home / "install.sh").write_text(INSTALLED.format(root=ROOT, bin=programs, python=sys.executable))
     (programs / "lacli").write_text(lacli or f'#!/bin/bash\nexec "{sys.executable}" -m lacli "$@"\n')
     (programs / "lacli").chmod(0o755)

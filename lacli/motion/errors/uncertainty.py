@@ -18,7 +18,7 @@ from lacli.anatomy.surface_features import Endocardium
 from lacli.base.arrays import FloatArray
 from lacli.contracts.features import kind_of
 from lacli.contracts.labels import REGIONS
-from lacli.contracts.tables.covariance import nearest_correlation
+from lacli.contracts.tables.error_groups import Groups
 from lacli.geometry.quadrature import at_quadrature
 from lacli.motion.errors.shrinkage import Shrinkage, shrinkage_of
 from lacli.motion.field import Field, pull
@@ -192,27 +192,14 @@ def error_model(errors: Sequence[Mapping[str, float]], changes: Sequence[Mapping
     sd = np.sqrt((len(e) * own + _PRIOR_SAMPLES * prior) / (len(e) + _PRIOR_SAMPLES))
     sd = np.maximum(sd, 1e-9)
     z = e / sd
-    product = z.T @ z / len(e)
-    groups: dict[tuple[str, str, bool], list[float]] = {}
-    label = {}
-    for i, (a, r) in enumerate(kinds):
-        for j, (b, s) in enumerate(kinds):
-            if i == j:
-                continue
-            first, second = sorted((a, b))
-            label[i, j] = (first, second, r == s or not r or not s)
-            groups.setdefault(label[i, j], []).append(float(product[i, j]))
-    kept = len(e) / (len(e) + _APART)
-    mean = {group: kept * float(np.clip(np.mean(values), -0.98, 0.98)) for group, values in groups.items()}
-    correlation = np.eye(len(keys))
-    for (i, j), group in label.items():
-        correlation[i, j] = mean[group]
+    groups = Groups.of_features(keys, whole_with_all=True)
+    correlation = groups.correlation(groups.means(z.T @ z / len(e)), len(e) / (len(e) + _APART))
     between = 0.0
     if len(e) > 1:
         total = z.sum(axis=0)
         pairs = (total**2 - (z**2).sum(axis=0)) / (len(e) * (len(e) - 1))
         between = float(np.clip(pairs.mean(), 0.0, 0.95))
-    return ErrorModel(keys, sd, nearest_correlation(correlation), between, len(e), found)
+    return ErrorModel(keys, sd, correlation, between, len(e), found)
 
 
 def stated_model(surface: Endocardium, normal_mm: float, tangential_mm: float) -> ErrorModel:
