@@ -62,8 +62,9 @@ class Settings:
 
 @dataclass(frozen=True)
 class WaveReport:
-    """One wave, as recorded: runs used and failed, held-out R2 by output, share of the box left with standard error,
-    change: the part of it that better emulators removed (NaN in the first wave)."""
+    """One wave, as recorded: runs used and failed, held-out R2 by output and the share of runs within two standard deviations
+    when left out (ise), share of the box left with standard error, change: the part of it that better emulators removed (NaN
+    in the first wave)."""
 
     wave: int
     runs: int
@@ -74,6 +75,7 @@ class WaveReport:
     share_sd: float
     change: float
     notes: list[str]
+    ise: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -178,8 +180,13 @@ def calibrate(
             write_identity(folder / FILE, identity)
         samples.append(found.sample)
         r2 = dict(zip(emulators.outputs, emulators.held_out_r2.tolist(), strict=True))
+        ise = (
+            dict(zip(emulators.outputs, emulators.left_out_ise().tolist(), strict=True))
+            if isinstance(emulators, EmulatorSet)
+            else {}
+        )
         counts = (len(finished_x), len(failed_x))
-        reports.append(WaveReport(number, *counts, wave.threshold, r2, found.share, found.share_sd, found.change, notes))
+        reports.append(WaveReport(number, *counts, wave.threshold, r2, found.share, found.share_sd, found.change, notes, ise))
         monitor(Status("wave done", number, 1, 1, tuple(reports)))
         last_threshold = number >= len(settings.thresholds)
         elapsed = (time.monotonic() - begin) / 3600.0

@@ -12,7 +12,7 @@ from lacli.base.documents import read_json
 from lacli.base.errors import InputError, UsageError
 from lacli.cohort.comparison import REGIONAL, Model
 from lacli.contracts.targets import Targets
-from lacli.inference.box import make_box
+from lacli.inference.box import Box, make_box
 from lacli.inference.emulation.emulator_set import load_emulators
 from lacli.mechanics.numerics.error_correlation import correlation
 
@@ -44,6 +44,18 @@ def held_against(folder: Path, targets: Targets) -> Targets:
     return targets.widened(errors, correlation(targets.names, targets.mean, order))
 
 
+def box_of(folder: Path) -> Box:
+    """The box of a calibration. Raises InputError where its folder does not say it."""
+    document = read_json(folder / IDENTITY)
+    content = document.get("content", {}) if isinstance(document, dict) else {}
+    try:
+        names = list(content["box.names"])
+        low, high = ([float(content[f"box.{end}.{name}"]) for name in names] for end in ("lower", "upper"))
+    except (KeyError, TypeError, ValueError):
+        raise InputError(f"{folder / IDENTITY}: does not say the box; calibrate again.") from None
+    return make_box(names, low, high)
+
+
 def _own_sd(row: Mapping[str, Any]) -> float:
     """The measurement's own sd; of calibrations that added nothing, sd."""
     return float(row.get("own_sd", row["sd"]))
@@ -67,14 +79,7 @@ def read_model(folder: Path, targets: Targets, name: str = REGIONAL) -> Model:
                 f" {targets.mean[j]:g} ± {targets.sd[j]:g}; give those it was made to."
             )
     features = [str(row["feature"]) for row in result["fit"]]
-    document = read_json(folder / IDENTITY)
-    content = document.get("content", {}) if isinstance(document, dict) else {}
-    try:
-        names = list(content["box.names"])
-        low, high = ([float(content[f"box.{end}.{name}"]) for name in names] for end in ("lower", "upper"))
-    except (KeyError, TypeError, ValueError):
-        raise InputError(f"{folder / IDENTITY}: does not say the box; calibrate again.") from None
-    box = make_box(names, low, high)
+    box = box_of(folder)
     if result.get("method") == "sequential":
         from lacli.calibration.sequential.outputs import features_of
 
@@ -83,6 +88,6 @@ def read_model(folder: Path, targets: Targets, name: str = REGIONAL) -> Model:
     missing = [feature for feature in features if feature not in emulators.outputs]
     if missing:
         raise InputError(f"{folder}: its emulators have no {', '.join(missing)}; calibrate again.")
-    if tuple(names) != emulators.inputs:
+    if box.names != emulators.inputs:
         raise InputError(f"{folder}: the emulators' inputs are not the box's; calibrate again.")
     return Model(name, emulators.select(features), box)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,8 +17,15 @@ from lacli.report.style import paper
 _OTHER = "#555555"
 
 
-def regions_figure(values: FloatArray, regions: Sequence[str], name: str, files: Sequence[Path]) -> None:
-    """Boxes by region with a marker a patient, joined by patient. values: (patients, regions). One file a format."""
+def regions_figure(
+    values: FloatArray,
+    regions: Sequence[str],
+    name: str,
+    files: Sequence[Path],
+    stars: Mapping[tuple[str, str], str] | None = None,
+) -> None:
+    """Boxes by region with a marker a patient, joined by patient. values: (patients, regions); stars: above pairs of regions,
+    those without any are left out. One file a format."""
     with paper():
         import matplotlib.pyplot as plt
 
@@ -32,6 +39,12 @@ def regions_figure(values: FloatArray, regions: Sequence[str], name: str, files:
             axis.plot(np.full(len(values), places[j]), values[:, j], "o", color=colour, markersize=4, zorder=3)
         axis.set_xticks(places, regions)
         axis.set_ylabel(name)
+        marked = [(regions.index(a), regions.index(b), said) for (a, b), said in (stars or {}).items() if said]
+        step = 0.06 * (float(np.ptp(values)) or 1.0)
+        for level, (a, b, said) in enumerate(sorted(marked, key=lambda pair: (abs(pair[1] - pair[0]), pair))):
+            height = float(values.max()) + (1.0 + level) * step
+            axis.plot([a, a, b, b], [height - 0.25 * step, height, height, height - 0.25 * step], color="black", linewidth=0.6)
+            axis.text((a + b) / 2, height - 0.2 * step, said, ha="center", va="bottom", fontsize=6)
         save_all(figure, files)
 
 

@@ -19,8 +19,10 @@ _UNITS = {"_ml": "mL", "_mm": "mm", "_mmhg": "mmHg", "_kpa": "kPa", "_kpa_per_um
 
 
 def label(name: str) -> str:
-    """A column's name as an axis label: ``esv_ml`` -> ``ESV (mL)``, ``alpha_roof`` -> ``α roof``."""
-    name = name.replace("$", r"\$")  # no formula begins there
+    """A column's name as an axis label: ``esv_ml`` -> ``ESV (mL)``, ``alpha_roof`` -> ``α roof``, with its time if it has one."""
+    name, at, time = name.replace("$", r"\$").partition("@")  # no formula begins there
+    if at:
+        return f"{label(name)} at {time}"
     for ending in ("_kpa_per_um", "_mmhg", "_ml", "_mm", "_kpa"):
         if name.endswith(ending):
             return f"{_words(name.removesuffix(ending))} ({_UNITS[ending]})"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,6 +15,8 @@ from lacli.inference.box import Box
 from lacli.inference.sampling.posterior import Chain
 from lacli.report.inference_figures import INK, SPREAD, TARGET, label, save
 from lacli.report.style import paper
+
+LEVELS = tuple(1.0 - math.exp(-0.5 * sd**2) for sd in (0.5, 1.0, 1.5, 2.0))  # within so many sd of a pair that is normal
 
 
 def corner_figure(
@@ -34,7 +37,7 @@ def corner_figure(
             figure = plt.figure(figsize=(size, size))
             corner.corner(
                 flat[keep], fig=figure, bins=18, smooth=1.4, color=INK, plot_datapoints=False, fill_contours=True,
-                levels=(0.393, 0.865), range=list(zip(box.lower, box.upper, strict=True)), max_n_ticks=3,
+                levels=LEVELS, range=list(zip(box.lower, box.upper, strict=True)), max_n_ticks=3,
                 labels=[label(n).replace(" (", "\n(") for n in box.names], label_kwargs={"fontsize": 6.5}, labelpad=0.22,
                 hist_kwargs={"lw": 0.9},
             )  # fmt: skip
@@ -47,7 +50,7 @@ def corner_figure(
                 own = figure.axes[i * (d + 1)]
                 own.text(0.5, 0.97, "as the prior", transform=own.transAxes, ha="center", va="top", fontsize=6, color=TARGET)
             lines = [plt.Line2D([], [], color=INK, lw=1.2), plt.Line2D([], [], color=TARGET, lw=1.2)]
-            names = ["posterior (39 %, 86 % regions)", "most probable"]
+            names = [f"posterior ({', '.join(f'{100 * level:.1f}' for level in LEVELS)} %)", "most probable"]
             if truth is not None:
                 lines.append(plt.Line2D([], [], color="k", lw=1.2, ls="--"))
                 names.append("truth")

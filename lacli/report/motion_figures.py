@@ -61,25 +61,19 @@ def transients(folder: Path, picture: Path) -> Path:
     """Volume (mL) and regional features against time, phases shaded, a band of 2 sd around each course."""
     frame = pd.read_csv(folder / "transients.csv")
     info = read_json(folder / "tracking.json")
-    phases, sd = info["phases"], info["sd"]
-    time = np.append(frame["time"], 1.0)
+    phases = info["phases"]
     fine = np.linspace(0.0, 1.0, 201)
     with paper():
         import matplotlib.pyplot as plt
-        from scipy.interpolate import CubicSpline
 
-        from lacli.motion.errors.shrinkage import spread
+        from lacli.motion.errors import courses
 
         rows = [p for p in _COMPONENTS if p.format("roof") in frame]
         figure, axes = plt.subplots(len(rows) + 1, 1, figsize=(5.2, 1.7 * (len(rows) + 1)), sharex=True)
 
         def course(axis: Any, key: str, colour: str, label: str | None) -> None:
-            value = np.append(frame[key], frame[key].iloc[0])
-            line = CubicSpline(time, value, bc_type="periodic")(fine)
-            # at end-diastole there is no error by definition, so the band opens from there
-            reach = 2.0 * spread(key, sd[key], line - line[0], info.get("shrinkage"))
-            if key != "volume_ml":
-                reach = reach * np.clip(np.minimum(fine, 1.0 - fine) / max(time[1], 1e-3), 0.0, 1.0)
+            line, spread = courses.course(frame, info, key, fine)
+            reach = 2.0 * spread
             axis.fill_between(fine, line - reach, line + reach, color=colour, alpha=0.18, linewidth=0)
             axis.plot(fine, line, color=colour, linewidth=1.2, label=label)
             axis.plot(frame["time"], frame[key], "o", color=colour, markersize=2.5)

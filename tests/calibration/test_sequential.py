@@ -63,6 +63,7 @@ def test_the_posterior_is_that_of_the_simulator_itself(tmp_path: Path) -> None:
     # sampling alone: an ESS of 600 leaves .04
     assert np.abs((flat.mean(0) - mean) / sd).max() < 0.15
     assert np.abs(flat.std(0) / sd - 1.0).max() < 0.12
+    assert set(found.scores) == set(targets.names) and min(score["r2"] for score in found.scores.values()) > 0.9
     assert found.map_runs <= 20
     assert found.runs <= 60
     assert not found.refused

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from membranes import box, respond
@@ -10,6 +12,7 @@ from lacli.calibration.sequential import emulator
 from lacli.calibration.sequential.change import expected_change
 from lacli.calibration.sequential.descent import levenberg, lowest
 from lacli.calibration.sequential.laplace import Laplace
+from lacli.calibration.sequential.outputs import Features
 from lacli.calibration.sequential.scale import Scale
 from lacli.calibration.simulator import times_of
 from lacli.contracts.targets import Targets
@@ -89,6 +92,32 @@ def test_an_emulator_keeps_the_runs_and_its_slope_is_its_mean_s() -> None:
         e = h * np.eye(3)[i]
         difference = (fitted.mean((point + e)[None]) - fitted.mean((point - e)[None]))[0] / (2 * h)
         assert fitted.slope(point)[:, i] == pytest.approx(difference, abs=1e-5 * np.abs(jacobian).max())
+
+
+def test_runs_left_out_are_as_if_they_had_never_been_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    z, y, jacobian = runs(14)
+    whole = emulator.fit(z, y, jacobian)
+    error, share = whole.left_out()
+    monkeypatch.setattr(emulator, "minimize", lambda cost, start, *more, **options: SimpleNamespace(x=start))  # the same lengths
+    for i in (0, 9):
+        kept = np.arange(14) != i
+        rest = emulator.fit(z[kept], y[kept], jacobian[kept], start=whole)
+        missed = y[i] - rest.mean(z[i : i + 1])[0] @ rest.rotation.T
+        assert error[i] @ whole.rotation.T == pytest.approx(missed, rel=1e-4, abs=1e-6 * np.ptp(y))
+        assert share[i] / whole.inflation == pytest.approx(rest.share(z[i : i + 1])[0] / rest.inflation, rel=0.02)
+
+
+def test_scores_of_features_by_runs_left_out() -> None:
+    z, y, jacobian = runs(20)
+    sd = np.full(12, 0.1)
+    targets = Targets(tuple(f"f{j}" for j in range(12)), y.mean(0), sd)
+    fitted = emulator.fit(z, (y - targets.mean) / 0.1, jacobian / 0.1)
+    features = Features(fitted, Scale.of(box()), targets, ("f3", "f0"))
+    assert features.predict(features.training_inputs())[0][:, 0] == pytest.approx(y[:, 3], rel=1e-3)
+    r2, ise = features.left_out()
+    error = (fitted.left_out()[0] @ fitted.rotation.T)[:, 3] * 0.1
+    assert r2[0] == pytest.approx(1.0 - (error**2).sum() / ((y[:, 3] - y[:, 3].mean()) ** 2).sum(), rel=1e-4)
+    assert r2.min() > 0.98 and ((ise >= 0.8) & (ise <= 1.0)).all() and (ise * 20 == pytest.approx(np.round(ise * 20)))
 
 
 def test_a_planned_run_lowers_the_variance_as_the_run_itself_will() -> None:

@@ -77,6 +77,8 @@ def test_the_truth_is_recovered(whole):
         assert row["low95"] < truth < row["high95"]
     shares = [w.share for w in result.waves]
     assert shares[-1] <= shares[0] < 0.5
+    last = result.waves[-1]
+    assert set(last.ise) == set(last.r2) and min(last.ise.values()) > 0.85, "95 % of the runs within 2 sd, each left out"
     assert result.rmse_mm < 0.05  # the simulation at the most probable point against the targets' own 0.05 mm
     for row in result.fit:
         assert row["simulated"] == pytest.approx(row["emulated"], abs=4 * row["emulator_sd"] + 1e-6)

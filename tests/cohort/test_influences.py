@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from lacli.cohort.analysis.fits import courses, over_frames, over_numerics, over_outputs
-from lacli.cohort.analysis.influences import influences, over_patients
+from lacli.cohort.analysis.fits import courses, over_frames, over_numerics, over_outputs, scores
+from lacli.cohort.analysis.influences import by_patient, influences, over_patients
+from lacli.inference.emulation.emulator import fit_emulator
+from lacli.inference.emulation.emulator_set import EmulatorSet, save_emulators
 from lacli.report.cohort_figures import courses_figure, influence_figure, ninety
 
 POSTERIOR = [
@@ -38,13 +41,29 @@ def runs(folder: Path) -> Path:
 def test_shares_are_of_the_run_that_is_nearest_and_tells(tmp_path: Path) -> None:
     rows = influences("a", runs(tmp_path / "c"), {"posterior": POSTERIOR, "fit": FIT})
     # (-2 x 2)^2 = 16, (3 x 1)^2 = 9; and 0, .25
-    assert rows[0] == {"participant_id": "a", "feature": "esv_ml", "alpha": pytest.approx(0.64), "edp_mmhg": pytest.approx(0.36)}
-    assert rows[1] == {"participant_id": "a", "feature": "d_roof_mm@0.2", "alpha": 0.0, "edp_mmhg": 1.0}
+    head = {"participant_id": "a", "by": "derivatives"}
+    assert rows[0] == {**head, "feature": "esv_ml", "alpha": pytest.approx(0.64), "edp_mmhg": pytest.approx(0.36)}
+    assert rows[1] == {**head, "feature": "d_roof_mm@0.2", "alpha": 0.0, "edp_mmhg": 1.0}
     assert influences("a", tmp_path, {"posterior": POSTERIOR, "fit": FIT}) == [], "runs made elsewhere"
     other = [{**rows[0], "participant_id": "b", "alpha": 0.0, "edp_mmhg": 1.0}]
     inputs, features, mean = over_patients([*rows, *other])
     assert inputs == ["alpha", "edp_mmhg"] and features == ["esv_ml"], "only what all have"
     assert mean == pytest.approx(np.array([[0.32], [0.68]]))
+    inputs, people, of_each = by_patient([*rows, *other])
+    # of a: the mean of .64 and 0
+    assert people == ["a", "b"] and of_each == pytest.approx(np.array([[0.32, 0.0], [0.68, 1.0]]))
+
+
+def test_without_derivatives_the_first_wave_s_emulators_tell(tmp_path: Path) -> None:
+    # y = x + 3 z over [0, 1]^2: variances 1 and 9 twelfths; the second output is x alone
+    x = np.random.default_rng(0).random((40, 2))
+    emulators = [fit_emulator(x, x[:, 0] + 3.0 * x[:, 1], "esv_ml"), fit_emulator(x, x[:, 0].copy(), "d_roof_mm")]
+    save_emulators(tmp_path / "wave_1" / "emulators.npz", EmulatorSet(("x", "z"), tuple(emulators)))
+    box = {"box.names": ["x", "z"]} | {f"box.{end}.{name}": v for end, v in (("lower", 0), ("upper", 1)) for name in "xz"}
+    (tmp_path / "calibration.json").write_text(json.dumps({"content": box}))
+    volume, roof = influences("a", tmp_path, {"posterior": POSTERIOR, "fit": FIT, "waves": [{"runs": 40}]})
+    assert volume["by"] == "total effects" and (volume["x"], volume["z"]) == pytest.approx((0.1, 0.9), abs=0.02)
+    assert (roof["x"], roof["z"]) == pytest.approx((1.0, 0.0), abs=0.01)
 
 
 def test_inputs_that_make_ninety_percent() -> None:
@@ -68,9 +87,16 @@ def test_numerics_and_emulators_over_patients() -> None:
     volume, roof = over_numerics({"a": {"fit": FIT}})
     assert volume["discretisation_median"] == pytest.approx(4.0) and volume["over_measurement"] == pytest.approx(4.0 / 3.0)
     assert roof["discretisation_largest"] == pytest.approx(0.4)
-    waves = [{"r2": {"esv_ml": 0.5}}, {"r2": {"esv_ml": 0.9, "d_roof_mm": None}}]
-    (row,) = over_outputs({"a": {"waves": waves}, "b": {"waves": [{"r2": {"esv_ml": 0.7}}]}, "c": {}})
-    assert row == {"output": "esv_ml", "patients": 2, "r2_mean": pytest.approx(0.8), "r2_least": 0.7, "of": "b"}
+    waves = [{"r2": {"esv_ml": 0.5}}, {"r2": {"esv_ml": 0.9, "d_roof_mm": None}, "ise": {"esv_ml": 0.93}}]
+    sequential = {"emulators": {"esv_ml": {"r2": 0.8, "ise": 0.97}}}
+    told = {"a": {"waves": waves}, "b": {"waves": [{"r2": {"esv_ml": 0.7}}]}, "c": sequential, "d": {}}
+    rows = [row for patient, result in told.items() for row in scores(patient, result)]
+    assert rows[0] == {"participant_id": "a", "output": "esv_ml", "r2": 0.9, "ise": 0.93}
+    (row,) = over_outputs(rows)
+    assert row == {
+        "output": "esv_ml", "patients": 3, "r2_mean": pytest.approx(0.8), "r2_least": 0.7, "of": "b",
+        "ise_mean": pytest.approx(0.95), "ise_least": 0.93, "ise_of": "a",
+    }  # fmt: skip
 
 
 def test_the_figures_are_drawn(tmp_path: Path) -> None:

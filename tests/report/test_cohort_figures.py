@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from matplotlib.figure import Figure
 
 from lacli.contracts.labels import BODY_REGIONS, REGION_COLOURS
 from lacli.contracts.scene import build_scene
-from lacli.report.cohort_figures import regions_figure, scatter_figure
+from lacli.report.cohort_figures import Atrium, gallery_figure, regions_figure, scatter_figure
 from lacli.report.page import methods
 from lacli.report.page.references import SHORT, bibtex
 
@@ -29,6 +30,30 @@ def test_a_marker_a_patient_in_its_region_s_colour(tmp_path: Path, drawn: list[F
     for j, (line, region) in enumerate(zip(marked, BODY_REGIONS, strict=True)):
         assert to_hex(line.get_color()).upper() == REGION_COLOURS[region].upper()
         assert np.asarray(line.get_ydata()).tolist() == VALUES[:, j].tolist()
+
+
+def test_pairs_that_differ_are_marked_above_all(tmp_path: Path, drawn: list[Figure]) -> None:
+    stars = {
+        (BODY_REGIONS[0], BODY_REGIONS[4]): "**",
+        (BODY_REGIONS[1], BODY_REGIONS[2]): "*",
+        (BODY_REGIONS[0], BODY_REGIONS[1]): "",
+    }
+    regions_figure(VALUES, BODY_REGIONS, "d (mm)", [tmp_path / "r.png"], stars)
+    axis = drawn[0].axes[0]
+    assert [(text.get_text(), text.get_position()[0]) for text in axis.texts] == [("*", 1.5), ("**", 2.0)]
+    assert min(text.get_position()[1] for text in axis.texts) > VALUES.max()
+
+
+def test_the_gallery_has_one_view_one_scale_and_stars(tmp_path: Path, drawn: list[Figure]) -> None:
+    corners = np.random.default_rng(0).normal(size=(20, 3, 3)) * 20
+    large = Atrium("a", corners, ["#ff0000"] * 20, np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0]))
+    gallery_figure([large, dataclasses.replace(large, name="b", corners=corners / 2)], ["a"], [tmp_path / "g.png"])
+    first, second = drawn[0].axes[:2]
+    assert [axis.get_title() for axis in (first, second)] == ["a *", "b"]
+    assert np.ptp(first.get_xlim()) == pytest.approx(np.ptp(second.get_xlim())), "one scale, though b is half as large"
+    assert np.ptp(np.asarray(first.lines[0].get_xdata())) == pytest.approx(20.0)
+    spans = [np.ptp(np.concatenate([p.vertices for p in a.collections[0].get_paths()]), axis=0) for a in (first, second)]
+    assert spans[0] == pytest.approx(2 * spans[1])
 
 
 def test_a_scatter_has_the_posterior_s_sd_as_bars(tmp_path: Path, drawn: list[Figure]) -> None:

@@ -69,6 +69,7 @@ def test_the_fit_is_in_standard_deviations_of_the_targets(tmp_path: Path, drawn:
 def test_the_corner_holds_the_marginals_on_the_box(tmp_path: Path, drawn: list[Figure]) -> None:
     chain = chain_of(INPUTS)
     box = Box(INPUTS, np.array([-6.0, -5.0]), np.array([5.0, 4.5]))  # the chain's samples are standard normal
+    assert pytest.approx((0.118, 0.393, 0.675, 0.865), abs=5e-4) == inference_figures_posterior.LEVELS
     inference_figures_posterior.corner_figure(chain, np.array([1.0, 0.5]), box, tmp_path / "corner.png", np.array([2.0, 1.0]))
     axes = drawn[0].axes
     assert len(axes) == 4

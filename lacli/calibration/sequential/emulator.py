@@ -158,6 +158,12 @@ class Components:
         del of
         return self
 
+    def left_out(self) -> tuple[FloatArray, FloatArray]:
+        """Errors (n, p) of the components at runs left out one after the other, and what is not known there of the kernel's
+        variance (n,), inflation included; hyperparameters as they are."""
+        error, share = _left_out(self.rows, self.inverse_factor, self.trend_rows, self.trend_factor, self.weights)
+        return error, self.inflation * share
+
     def slope(self, z: FloatArray) -> FloatArray:
         """d mean / dz (p, d) at one point z (d,)."""
         rows = blocks(self.kind, z[None] / self.lengths, self.z / self.lengths, self.rows.every)[1:, 0]
@@ -230,7 +236,10 @@ def fit(
     variance, rotation = np.linalg.eigh(white.T @ white / (len(observed) - d - 1))
     variance = np.maximum(variance, 1e-12)
     weights = inverse_factor.T @ (white @ rotation)
-    held_out = _held_out(rows, inverse_factor, trend_rows, trend_factor, weights, variance)
+    error, share = _left_out(rows, inverse_factor, trend_rows, trend_factor, weights)
+    # components count by their variance: what moves the likelihood. One run far from what the process expects is one of n: the
+    # mean is what a chi-square would keep near 1
+    held_out = float(np.mean((error**2).sum(1) / (share * variance.sum())))
     return Components(
         kind, rows, lengths, nugget, weights, trend @ rotation, variance, rotation, inverse_factor, trend_rows, trend_factor,
         max(1.0, held_out), held_out,
@@ -282,29 +291,20 @@ def cost(theta: FloatArray, rows: Rows, moving: FloatArray, kind: Kind) -> tuple
     return float(value), gradient
 
 
-def _held_out(
-    rows: Rows,
-    inverse_factor: FloatArray,
-    trend_rows: FloatArray,
-    trend_factor: FloatArray,
-    weights: FloatArray,
-    variance: FloatArray,
-) -> float:
-    """Mean squared error of runs left out, one after the other with their derivatives, over what the process says of it.
-
-    Components count by their variance: what moves the likelihood. Runs that stand alone (all others far) count as others.
-    """
+def _left_out(
+    rows: Rows, inverse_factor: FloatArray, trend_rows: FloatArray, trend_factor: FloatArray, weights: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Errors (n, p) of runs left out, one after the other with their derivatives, and the share (n,) of the kernel's variance
+    that is not known of them. Runs that stand alone (all others far) count as others."""
     q = trend_factor @ trend_rows
     projected = inverse_factor.T @ inverse_factor - q.T @ q
     of = rows.run()
-    ratios = []
+    error, share = np.empty((len(rows.z), weights.shape[1])), np.empty(len(rows.z))
     for i in range(len(rows.z)):
         block = np.flatnonzero(of == i)  # the value's row is the first
         inside = np.linalg.pinv(projected[np.ix_(block, block)], hermitian=True)
-        error = (inside @ weights[block])[0]
-        ratios.append(float((error**2).sum() / (max(inside[0, 0], 1e-12) * variance.sum())))
-    # one run far from what the process expects is one of n: the mean is what a chi-square would keep near 1
-    return float(np.mean(ratios))
+        error[i], share[i] = (inside @ weights[block])[0], max(inside[0, 0], 1e-12)
+    return error, share
 
 
 def _moving(rows: Rows, observed: FloatArray) -> FloatArray:

@@ -48,11 +48,31 @@ class Features:
 
     def predict(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and variance (m, p) of the features at x (m, d), in their units and squares."""
-        chosen = [self.targets.names.index(name) for name in self.outputs]
-        # residual = U c, feature = target + L residual
-        back = factor(self.targets)[chosen] @ self.components.rotation[: len(self.targets.names)]
         mean, variance = self.components.predict(self.scale.to_z(x))
-        return self.targets.mean[chosen] + mean @ back.T, variance @ (back**2).T
+        return self._features(mean), variance @ (self._back() ** 2).T
+
+    def left_out(self) -> tuple[FloatArray, FloatArray]:
+        """R2 and the share of the runs within two standard deviations (independent standard errors), (p,) each, by leaving runs
+        out one after the other with their derivatives. NaN of what is the same in all runs."""
+        error, share = self.components.left_out()
+        back = self._back()
+        off = error @ back.T
+        sd = np.sqrt(share[:, None] * (self.components.variance @ (back**2).T))
+        # the process goes through its runs, but for its nugget
+        y = self._features(self.components.mean(self.components.z))
+        about = ((y - y.mean(axis=0)) ** 2).sum(axis=0)
+        r2 = 1.0 - (off**2).sum(axis=0) / np.where(about > 0, about, np.nan)
+        return r2, np.where(about > 0, (np.abs(off) < 2.0 * sd).mean(axis=0), np.nan)
+
+    def _features(self, components: FloatArray) -> FloatArray:
+        """(m, p) of components (m, P): residual = U c, feature = target + L residual."""
+        chosen = [self.targets.names.index(name) for name in self.outputs]
+        return np.asarray(self.targets.mean[chosen] + components @ self._back().T)
+
+    def _back(self) -> FloatArray:
+        """(p, P): features by component."""
+        chosen = [self.targets.names.index(name) for name in self.outputs]
+        return np.asarray(factor(self.targets)[chosen] @ self.components.rotation[: len(self.targets.names)])
 
     predict_truth = predict  # runs are taken for exact: their own error is in the targets' covariance
 

@@ -49,7 +49,8 @@ class Sequential:
     by input; change (d,): how far the emulator's error may still move the posterior's mean, in its sds; minima
     (k, d): the modes found, the best first; sweep: what the check of the box says; notes: what a user must know; left_out:
     targets that the runs cannot tell (targets: the others); rmse_mm: of the displacements at the most probable point, None
-    where no target is one; information: by group of targets, what it told at the best run."""
+    where no target is one; information: by group of targets, what it told at the best run; scores: by target, R2 and ISE of the
+    local emulator at runs left out."""
 
     box: Box
     targets: Targets
@@ -73,6 +74,7 @@ class Sequential:
     left_out: tuple[str, ...]
     rmse_mm: float | None
     information: list[dict[str, float | str]]
+    scores: dict[str, dict[str, float]]
     fidelity: Correcting | None = None
 
     @property
@@ -101,7 +103,13 @@ def result_of(
     told = int(np.argmin(np.where(evidence.told & evidence.own, evidence.misfit, np.inf)))
     frame = search.told.frame(evidence.x[row][None])
     nearest = frame[list(targets.names)].to_numpy(float)[0]
-    mean, variance = Features(local, search.scale, targets, targets.names).predict(map_x[None])
+    features = Features(local, search.scale, targets, targets.names)
+    mean, variance = features.predict(map_x[None])
+    scores = {
+        name: {"r2": float(r2), "ise": float(ise)}
+        for name, r2, ise in zip(targets.names, *features.left_out(), strict=True)
+        if np.isfinite(r2)
+    }
     fitted: list[dict[str, float | str]] = [
         {
             "feature": name, "target": float(t), "sd": float(s), "own_sd": float(o), "emulated": float(e),
@@ -144,7 +152,7 @@ def result_of(
         moved,
         search.scale.to_x(np.array([mode.centre for mode in known])), swept, chain, fitted, local.held_out, stopped, refused,
         tuple(notes), search.x, float(used["cpu_s"].sum()) + (fidelity.cpu_s if fidelity else 0.0), search.left_out, rmse,
-        by_group(search.told, evidence.x[told], targets, search.scale), fidelity,
+        by_group(search.told, evidence.x[told], targets, search.scale), scores, fidelity,
     )  # fmt: skip
 
 
@@ -173,7 +181,7 @@ def document(result: Sequential) -> dict[str, Any]:
         "cpu_s": result.cpu_s if np.isfinite(result.cpu_s) else None,
         "chi2": result.misfit, "targets": len(result.targets.names), "targets_left_out": list(result.left_out),
         "posterior": result.table,
-        "information": result.information,
+        "information": result.information, "emulators": result.scores,
         "emulator_change_sd": dict(zip(result.box.names, result.change.tolist(), strict=True)),
         "modes": [dict(zip(result.box.names, row, strict=True)) for row in result.minima.tolist()],
         "probability_elsewhere": result.sweep.elsewhere, "box_not_ruled_out": result.sweep.open_,

@@ -129,20 +129,35 @@ def over_numerics(results: Mapping[str, Mapping[str, Any]]) -> list[dict[str, An
     return rows
 
 
-def over_outputs(results: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """By output over the patients: R2 of the last wave's emulators, mean and least, and whose; for calibrations by waves."""
-    last: dict[str, dict[str, float]] = {}
-    for patient, result in results.items():
-        waves = [wave for wave in result.get("waves") or () if wave.get("r2")]
-        if waves:
-            last[patient] = {str(k): float(v) for k, v in waves[-1]["r2"].items() if v is not None}
-    rows = []
-    for name in dict.fromkeys(name for r2 in last.values() for name in r2):
-        told = {patient: r2[name] for patient, r2 in last.items() if name in r2}
-        worst = min(told, key=lambda patient: told[patient])
-        rows.append({"output": name, "patients": len(told), "r2_mean": float(np.mean(list(told.values()))),
-                     "r2_least": told[worst], "of": worst})  # fmt: skip
-    return rows
+def scores(patient: str, result: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """A row an output of the calibration's last emulators: R2, and the share of runs within two standard deviations (ise:
+    independent standard errors), of runs left out; None where the calibration tells none."""
+    told = result.get("emulators") or {}
+    if waves := [wave for wave in result.get("waves") or () if wave.get("r2")]:
+        last = waves[-1]
+        told = {name: {"r2": r2, "ise": (last.get("ise") or {}).get(name)} for name, r2 in last["r2"].items()}
+    return [
+        {"participant_id": patient, "output": str(name), "r2": float(row["r2"]), "ise": row.get("ise")}
+        for name, row in told.items()
+        if row.get("r2") is not None
+    ]
+
+
+def over_outputs(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """By output over the patients: R2 and ISE of the last emulators as ``scores`` has them, mean and least, and whose is the
+    least."""
+    found = []
+    for name in dict.fromkeys(row["output"] for row in rows):
+        row: dict[str, Any] = {"output": name}
+        mine = [r for r in rows if r["output"] == name]
+        row["patients"] = len(mine)
+        for key, whose in (("r2", "of"), ("ise", "ise_of")):
+            told = {str(r["participant_id"]): float(r[key]) for r in mine if r[key] is not None}
+            worst = min(told, key=lambda patient, told=told: told[patient]) if told else None  # type: ignore[misc]
+            row[f"{key}_mean"] = float(np.mean(list(told.values()))) if told else None
+            row[f"{key}_least"], row[whose] = (None, None) if worst is None else (told[worst], worst)
+        found.append(row)
+    return found
 
 
 def over_waves(results: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:

@@ -11,6 +11,7 @@ import pandas as pd
 
 from lacli.base.documents import read_json
 from lacli.base.files import replacing, write_json
+from lacli.cohort.analysis.convergence import convergence
 from lacli.cohort.analysis.fits import (
     Anatomy,
     courses,
@@ -22,22 +23,30 @@ from lacli.cohort.analysis.fits import (
     over_waves,
     read_anatomy,
     read_contrasts,
+    scores,
 )
 from lacli.cohort.analysis.influences import influences
+from lacli.cohort.analysis.transients import over_transients, transients
+from lacli.cohort.analysis.walls import walls
 from lacli.cohort.files import (
     ANATOMIES,
     CONTRASTS,
+    CONVERGENCE,
     COURSES,
     DISCRETISATION,
     DRAWS,
     FEATURES,
     FRAMES,
     INFLUENCES,
+    MISFITS,
     MODELS,
     OUTPUTS,
     PATIENTS,
     REGIONS,
+    SCORES,
     SUMMARY,
+    TRANSIENTS,
+    WALLS,
     WAVES,
 )
 from lacli.cohort.participants import Participant
@@ -55,6 +64,10 @@ def write_summary(study: Path, participants: Sequence[Participant], outcomes: Se
     results, contrasts, anatomies = {}, {}, []
     moved: list[dict[str, Any]] = []
     made: list[dict[str, Any]] = []
+    scored: list[dict[str, Any]] = []
+    seen: list[dict[str, Any]] = []
+    walled: list[dict[str, Any]] = []
+    converged: list[dict[str, Any]] = []
     for patient in participants:
         if patient.identifier not in done:
             continue
@@ -65,7 +78,12 @@ def write_summary(study: Path, participants: Sequence[Participant], outcomes: Se
         fat = _fat(folder)
         if anatomy is not None:
             anatomies.append(_of_anatomy(patient, anatomy, fat, study))
-        moved += courses(patient.identifier, result, None if anatomy is None else anatomy.es_time)
+            converged += convergence(patient.identifier, anatomy.bundle, result)
+        own = courses(patient.identifier, result, None if anatomy is None else anatomy.es_time)
+        moved += own
+        seen += transients(patient.identifier, folder, result, own)
+        scored += scores(patient.identifier, result)
+        walled += walls(patient.identifier, anatomy, fat)
         made += influences(patient.identifier, folder / "calibration", result)
         regions += _regions(patient, result, {} if anatomy is None else anatomy.laplace_mm, fat.get("standard", {}))
         draws += _draws(patient, folder)
@@ -94,7 +112,12 @@ def write_summary(study: Path, participants: Sequence[Participant], outcomes: Se
         (COURSES, pd.DataFrame(moved)),
         (FRAMES, pd.DataFrame(over_frames(moved))),
         (DISCRETISATION, pd.DataFrame(over_numerics(results))),
-        (OUTPUTS, pd.DataFrame(over_outputs(results))),
+        (OUTPUTS, pd.DataFrame(over_outputs(scored))),
+        (SCORES, pd.DataFrame(scored)),
+        (TRANSIENTS, pd.DataFrame(seen)),
+        (MISFITS, pd.DataFrame(over_transients(seen))),
+        (WALLS, pd.DataFrame(walled)),
+        (CONVERGENCE, pd.DataFrame(converged)),
         (INFLUENCES, pd.DataFrame(made)),
     ):
         if frame.empty:

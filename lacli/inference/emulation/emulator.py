@@ -54,6 +54,17 @@ class Emulator:
         mean, variance = self.process.predict(self.to_u(x))
         return self.output_scale.moments(self.shift + self.scale * mean, (self.inflation * self.scale**2) * variance)
 
+    def left_out_ise(self) -> float:
+        """Share of the runs within two standard deviations of what is said of them when each is left out, hyperparameters as they
+        are (independent standard errors)."""
+        error, variance = self.process.leave_one_out()
+        y = self.process.y
+        mean, spread = self.output_scale.moments(
+            self.shift + self.scale * (y - error), (self.inflation * self.scale**2) * variance
+        )
+        truth = self.output_scale.backward(self.shift + self.scale * y)
+        return float((np.abs(truth - mean) < 2.0 * np.sqrt(spread)).mean())
+
 
 @single_threaded
 def fit_emulator(

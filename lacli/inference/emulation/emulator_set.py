@@ -96,6 +96,10 @@ class EmulatorSet:
         """R2 (p,) of each output at runs that were left out."""
         return np.array([e.held_out_r2 for e in self.emulators])
 
+    def left_out_ise(self) -> FloatArray:
+        """Share (p,) of the runs within two standard deviations, each left out, by output."""
+        return np.array([e.left_out_ise() for e in self.emulators])
+
     @property
     def log_share(self) -> FloatArray:
         """The share of the emulators that take each input's logarithm (d,)."""

@@ -50,6 +50,16 @@ def known_errors(scene: Scene) -> dict[str, float]:
         raise InputError(f"{file}: cannot be read ({error}). Remove it, or run `lacli tradeoff` again.") from error
 
 
+def kept_errors(bundle: Path) -> list[tuple[str, dict[str, float]]]:
+    """All that was measured on a bundle: numerics (``p1_q4``) and errors by feature. InputError where damaged."""
+    file = bundle / FILE
+    try:
+        entries = _entries(file) if file.is_file() else {}
+        return [(str(e["numerics"]), {str(k): float(v) for k, v in e["errors"].items()}) for e in entries.values()]
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise InputError(f"{file}: cannot be read ({error}). Remove it, or run `lacli tradeoff` again.") from error
+
+
 def record(scene: Scene, errors: dict[str, float], reference: Scene) -> None:
     """Add the errors of a scene with its numerics, against the reference, to its bundle's ``accuracy.json``."""
     file = scene.anatomy.bundle / FILE

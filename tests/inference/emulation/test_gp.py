@@ -82,6 +82,21 @@ def test_prediction_is_generalised_least_squares_kriging():
     assert variances[4] == pytest.approx(v[0] + noise[4], rel=1e-7)
 
 
+def test_the_share_within_two_standard_deviations_by_runs_left_out():
+    x = np.random.default_rng(3).random((30, 2))
+    emulator = fit_emulator(x, np.exp(3.0 * x[:, 0]) + np.sin(6.0 * x[:, 1]))
+    process, inside = emulator.process, []
+    for i in range(30):
+        keep = np.arange(30) != i
+        rest = gp.condition(process.theta, process.u[keep], process.y[keep], process.noise[keep])
+        mean, variance = rest.predict(process.u[i : i + 1])
+        scaled = emulator.shift + emulator.scale * np.array([mean[0], process.y[i]])
+        m, v = emulator.output_scale.moments(scaled[:1], emulator.inflation * emulator.scale**2 * (variance + process.noise[i]))
+        inside.append(abs(emulator.output_scale.backward(scaled[1:])[0] - m[0]) < 2.0 * np.sqrt(v[0]))
+    assert emulator.left_out_ise() == pytest.approx(np.mean(inside))
+    assert 0.8 < emulator.left_out_ise() <= 1.0
+
+
 def test_a_linear_function_is_learnt_exactly_and_beyond_the_runs():
     rng = np.random.default_rng(0)
     x = rng.random((20, 3))
