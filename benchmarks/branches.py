@@ -1,0 +1,145 @@
+"""Does the way to a state decide which equilibrium is found? The same scenes solved along several ways, and what differs.
+
+    python benchmarks/branches.py [--anatomies real wall1 wall2] [--points 8] [--cell-size-mm 4] [--order 2] [--record FILE]
+
+Points: a Sobol' sequence over the calibration's box with every stiffness in the softer half of its range, where walls give way in
+places and end-diastole may be unstable. Ways: from end-diastole to end-systole at once; in four equal parts of time; in eight;
+from an end-diastole that was settled into a stable shape first. Printed by point: unstable modes at end-diastole and the spread
+(largest difference between ways) of the features at end-systole, and in the three frames that four and eight parts share.
+
+Asked: the spread at end-systole told, and what frames can be trusted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import records
+from extremes import ANATOMIES, made
+from scipy.stats import qmc
+
+from lacli.contracts.features import at_time
+from lacli.contracts.labels import BODY_REGIONS
+from lacli.contracts.parameters import parameter_box
+from lacli.contracts.scene import build_scene, with_parameters
+from lacli.inference.box import CALIBRATION_INPUTS
+from lacli.mechanics.execute import run_scenes
+from lacli.mechanics.results import features_at_times
+
+WAYS = {
+    "at once": (),
+    "four parts": ("outputs.frames=4",),
+    "eight parts": ("outputs.frames=8",),
+    "settled": ("numerics.settle_ed=true",),
+}
+KEYS = ("d_global_mm", *(f"{kind}_{region}_mm" for kind in "dnab" for region in BODY_REGIONS))
+SHARED = (0.25, 0.5, 0.75)  # of end-systole's time: frames of four parts and of eight
+SAME_MM = 0.001
+
+
+@dataclass(frozen=True)
+class Row:
+    """A run: anatomy, point, way; how it ended; cost; unstable modes at end-diastole; ESV (mL); features (mm) at end-systole, and
+    in the frames by ``key@time``."""
+
+    anatomy: str
+    number: int
+    way: str
+    end: str
+    cpu_s: float
+    modes: int
+    esv_ml: float
+    es: dict[str, float]
+    frames: dict[str, float]
+
+
+def soft(count: int) -> list[dict[str, float]]:
+    """The inputs by name."""
+    box = parameter_box(list(CALIBRATION_INPUTS))
+    low, high = np.array(list(box.values())).T
+    stiff = np.array([name.startswith("alpha_") for name in box])
+    high = np.where(stiff, low + 0.5 * (high - low), high)
+    unit = qmc.Sobol(len(box), seed=3).random(1 << (count - 1).bit_length())[:count]
+    return [dict(zip(box, map(float, row), strict=True)) for row in low + unit * (high - low)]
+
+
+def spread(rows: list[dict[str, float]]) -> tuple[float, str]:
+    """The largest difference between any two, mm, and of which feature; NaN of fewer than two."""
+    names = sorted(set.intersection(*(set(row) for row in rows))) if len(rows) > 1 else []
+    if not names:
+        return float("nan"), ""
+    wide = np.ptp([[row[name] for name in names] for row in rows], axis=0)
+    return float(wide.max()), names[int(wide.argmax())]
+
+
+def summary(rows: list[Row]) -> None:
+    """By point, then over all."""
+    print(f"{'anatomy':8s}{'point':>6s}{'ED modes':>9s}{'ES spread mm':>13s}{'ESV mL':>8s}{'frames mm':>10s}  widest")
+    of_es, of_frames = [], []
+    for (anatomy, number), group in itertools.groupby(rows, key=lambda r: (r.anatomy, r.number)):
+        mine = list(group)
+        done = [r for r in mine if r.end == "done"]
+        es, _ = spread([r.es for r in done])
+        frames, name = spread([r.frames for r in done if r.frames])
+        volume = float(np.ptp([r.esv_ml for r in done])) if len(done) > 1 else float("nan")
+        failed = ", ".join(f"{r.way}: {r.end}" for r in mine if r.end != "done")
+        print(f"{anatomy:8s}{number:6d}{max(r.modes for r in mine):9d}{es:13.4f}{volume:8.4f}{frames:10.4f}  {name} {failed}")
+        of_es.append(es)
+        of_frames.append(frames)
+    for what, found in (("end-systole", np.array(of_es)), ("frames", np.array(of_frames))):
+        known = found[np.isfinite(found)]
+        if len(known):
+            differ = int((known > SAME_MM).sum())
+            print(f"{what}: the way decides at {differ} of {len(known)} points, by {known.max():.3f} mm at most")
+    cost = {way: sum(r.cpu_s for r in rows if r.way == way) for way in WAYS}
+    print("CPU s: " + ", ".join(f"{way} {value:.0f}" for way, value in cost.items()))
+
+
+def main() -> None:
+    """Run what is not in the record yet, and sum up all."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--anatomies", nargs="+", choices=[*ANATOMIES, "real"], default=["real", "wall1", "wall2"])
+    parser.add_argument("--points", type=int, default=8)
+    parser.add_argument("--cell-size-mm", type=float, default=4.0)
+    parser.add_argument("--order", type=int, default=2)
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path("results/branches"))
+    parser.add_argument("--record", type=Path, help="file of rows, to go on with")
+    choice = parser.parse_args()
+    rows = records.read(choice.record, Row)
+    for anatomy in choice.anatomies:
+        folder = made(anatomy, choice.cell_size_mm, choice.out)
+        jobs = [job for job in itertools.product(range(choice.points), WAYS) if not any(_is(r, anatomy, *job) for r in rows)]
+        values = soft(choice.points)
+        settings = [f"numerics.order={choice.order}", "outputs.fields=none", "outputs.unloaded=false", "numerics.timeout_s=1800"]
+        scenes = []
+        for number, way in jobs:
+            document = {"anatomy": {"bundle": str(folder.resolve())}}
+            base = build_scene(document, [*settings, *WAYS[way]], folder=folder, where="branches")
+            scenes.append(with_parameters(base, values[number]))
+        for index, result in run_scenes(scenes, choice.out / "runs", workers=choice.workers):
+            (number, way), f = jobs[index], result.features
+            frames: dict[str, float] = {}
+            if f and "parts" in way:
+                found, es = features_at_times(result.folder)
+                frames = {name: found[name] for key in KEYS for t in SHARED if (name := at_time(key, t * es)) in found}
+            row = Row(anatomy, number, way, result.kind or "done", float(result.manifest.get("cpu_s", np.nan)),
+                      int(f.get("ed_unstable_modes", 0)), float(f.get("esv_ml", np.nan)),
+                      {key: float(f[key]) for key in KEYS if key in f}, frames)  # fmt: skip
+            rows.append(row)
+            records.add(choice.record, row)
+            print(f"{anatomy} {number} {way}: {row.end}, {row.cpu_s:.0f} CPU s, ESV {row.esv_ml:.4f} mL", flush=True)
+    order = [*ANATOMIES, "real"]
+    summary(sorted(rows, key=lambda r: (order.index(r.anatomy), r.number)))
+
+
+def _is(row: Row, anatomy: str, number: int, way: str) -> bool:
+    return (row.anatomy, row.number, row.way) == (anatomy, number, way)
+
+
+if __name__ == "__main__":
+    main()
