@@ -260,8 +260,7 @@ def _refine(
         before = len(search.x) + len(search.dear)
         count = min(settings.first_runs if round_ == 1 else settings.batch, search.left - reserve)
         # each part of the error by the runs that lessen it
-        wanted = 0 if enough else _OF_REFERENCE if of_correction.max() > 2.0 * settings.correction_share else 1
-        dear = min(wanted, search.dear_left - 1)
+        dear = min(0 if enough else _OF_REFERENCE, search.dear_left - 1)
         if round_ > 1 and of_runs.max() < settings.share and effective > LEAST_EFFECTIVE:
             count = 0
         if max(count, dear) <= 0:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from lacli.base.arrays import FloatArray
 from lacli.base.errors import LacliError
 from lacli.calibration.sequential import descent
 from lacli.calibration.sequential.evidence import Evidence
@@ -14,6 +15,7 @@ from lacli.calibration.sequential.search import Search
 
 STAGE = "correction"
 _TRIES, _STEPS = 4, 4
+_PAIR = 2  # runs a step, which two workers make in the time of one
 
 
 def bridge(search: Search, evidence: Evidence) -> Evidence:
@@ -41,5 +43,14 @@ def bridge(search: Search, evidence: Evidence) -> Evidence:
         z, misfit = min((descent.lowest(components, evidence.z[row]) for row in own), key=lambda found: found[1])
         if evidence.misfit[best] - misfit < descent.SETTLED or search.dear_left <= 2:
             break
-        evidence = search.refer(z[None], STAGE)
+        # beside it a draw of the posterior around, which tells the correction's slope
+        evidence = search.refer(np.vstack([z, _around(evidence, z, _PAIR - 1, rng)]), STAGE)
     return evidence
+
+
+def _around(evidence: Evidence, z: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
+    """(count, d): draws of the Gaussian posterior at z, as the reference's run nearest to it tells it."""
+    own = np.flatnonzero(evidence.own & evidence.told)
+    row = own[int(np.argmin(np.linalg.norm(evidence.z[own] - z, axis=1)))]
+    near = Laplace.at(z, evidence.residual[row], evidence.jacobian[row])
+    return Laplace(z, near.precision).draw(count, 1.0, rng)
