@@ -26,7 +26,9 @@ class Phase:
 
 @dataclass(frozen=True)
 class Plan:
-    """Which terms the deck contains, and its phases in order; ``rest_sweeps`` as in the scene, 0 where no spring could move."""
+    """Which terms the deck contains, and its phases in order; ``back``: end-systole from end-diastole at once, and from there
+    backward the states between the two, the way that is gone where the first of them is not near end-diastole (empty where
+    there are none); ``rest_sweeps`` as in the scene, 0 where no spring could move."""
 
     title: str
     unloading: bool
@@ -40,6 +42,7 @@ class Plan:
     sensitivities: bool
     rest_sweeps: int
     phases: tuple[Phase, ...]
+    back: tuple[Phase, ...]
 
     def stretches(self) -> tuple[Phase, ...]:
         """The phases after end-diastole, each with a state at its end."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 
@@ -56,6 +57,7 @@ def make_plan(scene: Scene, bundle: Bundle, motion: Motion | None) -> Plan:
     backward = scene.loads.edp_mmhg > 0 and scene.numerics.unloading == "backward"
     strained = scene.loads.edp_mmhg > 0 and not backward
     rest_sweeps = scene.numerics.rest_sweeps if strained and (veins or pericardium) else 0
+    phases = _phases(Pressure(scene.loads, motion.es_time if motion is not None else scene.motion.es_time), scene.outputs)
     title = [f"pressure {scene.loads.edp_mmhg:g} to {scene.loads.esp_mmhg:g} mmHg", LAWS[scene.materials.law].title]
     title += ["annulus moves"] if moving else ["ring held"]
     title += ["vein springs"] if veins else []
@@ -72,7 +74,8 @@ def make_plan(scene: Scene, bundle: Bundle, motion: Motion | None) -> Plan:
         dents=scene.pericardium.dents,
         sensitivities=scene.outputs.sensitivities and not backward and not rest_sweeps,
         rest_sweeps=rest_sweeps,
-        phases=_phases(Pressure(scene.loads, motion.es_time if motion is not None else scene.motion.es_time), scene.outputs),
+        phases=phases,
+        back=_back(phases),
     )
 
 
@@ -105,6 +108,18 @@ def _phases(pressure: Pressure, outputs: Outputs) -> tuple[Phase, ...]:
             )
         )
     return tuple(phases)
+
+
+def _back(phases: tuple[Phase, ...]) -> tuple[Phase, ...]:
+    """``Plan.back`` of the phases."""
+    up = [phase for phase in phases if phase.name == "reservoir"]
+    if len(up) < 2:
+        return ()
+    at_once = replace(up[-1], pressure_from=up[0].pressure_from, time_from=up[0].time_from)
+    down = [
+        replace(one, pressure_from=after.pressure_to, time_from=after.time_to) for after, one in itertools.pairwise(reversed(up))
+    ]
+    return (at_once, *down)
 
 
 def _lacking(scene: Scene) -> str:

@@ -153,7 +153,7 @@ def transients(case: Case, results: Results) -> pd.DataFrame:
                 **endocardium.features(state.x),
             }
         )
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows).sort_values("time", ignore_index=True)
 
 
 def features_at_times(folder: Path) -> tuple[dict[str, float], float]:
@@ -172,9 +172,9 @@ def write_fields(case: Case, results: Results, folder: Path) -> list[str]:
     place = folder / FIELDS
     place.mkdir(exist_ok=True)
     states = results.states
-    names = ["ed", "es"] if wanted == "es" else [name for name in states if name != "unloaded"]
-    free = _unloaded(case, results)
     times = {phase.file: phase.time_to for phase in case.plan.stretches()}
+    names = ["ed", "es"] if wanted == "es" else sorted(states.keys() - {"unloaded"}, key=lambda name: times.get(name, 0.0))
+    free = _unloaded(case, results)
     entries = []
     for name in names:
         write_state(case.bundle, states[name].x, free, place / f"{name}.vtu")
