@@ -185,8 +185,9 @@ def _cost(chosen: Patients, rows: Sequence[Planned], folder: Path, settings: Pat
     from lacli.cohort.steps import read_settings
 
     given = read_settings(settings).options.get("calibrate", {})
-    todo = {row.participant_id for row in rows if row.step == "calibrate" and row.state != "done"}
-    steps = [step for patient, steps in chosen if patient.identifier in todo for step in steps if step.name == "calibrate"]
+    todo = {(row.participant_id, row.step) for row in rows if row.state != "done"}
+    every = [step for patient, steps in chosen for step in steps if (patient.identifier, step.name) in todo]
+    steps = [step for step in every if step.arguments[0] == "calibrate"]
     simulated = [step for step in steps if "--from-table" not in step.arguments]
     each = max((runs_at_most(step, given) for step in simulated), default=0)
     return {"calibrations": len(simulated), "runs_each": each, "cpu_s_per_run": median_cpu_s(folder)}

@@ -9,6 +9,7 @@ import numpy as np
 from lacli.base.documents import read_json
 from lacli.base.errors import InputError
 from lacli.base.version import __version__
+from lacli.cohort.analysis.demographics import HEAD, demographics
 from lacli.cohort.analysis.journal import MODEL_HEAD, PAIR_HEAD, SLOPE_HEAD, model_rows, pair_rows, slope_rows
 from lacli.cohort.analysis.observations import Observations, read_observations
 from lacli.cohort.analysis.statistics import Statistics, statistics
@@ -34,6 +35,7 @@ _LONG = {"d_mm": "displacement at ES (mm)", "alpha": "stiffness alpha", "c": "st
          "thickness_mm": "wall thickness (mm)", "fat_ml": "epicardial fat (mL)"}  # fmt: skip
 # of the published tables: what is asked of what
 _QUESTIONS = (("d_mm", ("thickness_mm", "fat_ml", "alpha")), ("alpha", ("thickness_mm", "fat_ml")))
+_OF_STUDY = ("participant_id", "status", "step", "reason", "cpu_s", "arm")  # columns that say nothing of a participant
 _KEPT = (anatomies_section, influences_section, transients_section, fits_section, emulators_section, numerics_section)
 
 
@@ -55,18 +57,20 @@ def study_page(study: Path, pictures: Path) -> Page:
 
 def _patients(study: Path, notes: list[str]) -> Section:
     frame = read_frame(study / PATIENTS)
-    names = [str(n) for n in frame.columns]
-    rows = cells(frame)
-    return Section("patients", "Participants", tuple(map(str, notes)), tables=(Table("Participants", tuple(names), rows),))
+    over = demographics(frame, _OF_STUDY)
+    tables = [Table("Over the participants", HEAD, tuple(over))] if over else []
+    tables.append(Table("Participants", tuple(map(str, frame.columns)), cells(frame)))
+    return Section("patients", "Participants", tuple(map(str, notes)), tables=tuple(tables))
 
 
 def _models(study: Path, over: list[dict[str, object]]) -> Section:
     frame = read_frame(study / MODELS)
     columns = ("participant_id", "name", "log_evidence", "log_evidence_se", "elpd", "elpd_se", "p_loo", "rmse_mm")
     rows = cells(frame[list(columns)])
-    head = ("model", "patients", "RMSE mean, mm", "sd")
-    total = tuple(tuple(number(m[k], 3) for k in ("name", "patients", "rmse_mean_mm", "rmse_sd_mm")) for m in over)
-    tables = [Table("RMSE over the patients", head, total)]
+    head = ("model", "patients", "RMSE mean, mm", "sd", "effective parameters", "sd", "elpd (PSIS-LOO), sum", "se")
+    keys = ("name", "patients", "rmse_mean_mm", "rmse_sd_mm", "p_loo_mean", "p_loo_sd", "elpd", "elpd_se")
+    total = tuple(tuple(number(m.get(k), 3) for k in keys) for m in over)
+    tables = [Table("Models over the patients", head, total)]
     if contrasts := table(study / CONTRASTS, "Log evidence of a model less another's, summed over the patients"):
         tables.append(contrasts)
     return Section("models", "Models", tables=(*tables, Table("By patient", columns, rows)))

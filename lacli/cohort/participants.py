@@ -23,8 +23,8 @@ from lacli.contracts.tables.file import read_frame
 from lacli.contracts.targets import Targets, read_targets
 
 ID = "participant_id"
-PATHS = ("labels", "bundle", "ct", "images", "targets", "table", "scene")
-_FILES, _FOLDERS = ("labels", "targets", "table", "scene"), ("bundle",)  # of the others a path may be either
+PATHS = ("labels", "bundle", "ct", "images", "targets", "table", "scene", "uniform")
+_FILES, _FOLDERS = ("labels", "targets", "table", "scene"), ("bundle", "uniform")  # of the others a path may be either
 # columns of numbers that are known: unit, and what a patient can have
 _NUMBERS = {"age": ("years", 0.0, 125.0), "heart_rate_bpm": ("beats a minute", 15.0, 400.0), "ed_volume_ml": ("mL", 1.0, 1500.0)}
 _MISSING = ("n/a", "na", "")
@@ -101,6 +101,8 @@ def _participant(home: Path, name: str, cells: Mapping[object, object], wrong: l
     if "table" in paths:
         if "targets" not in paths:
             wrong.append(f"{name}: table (runs done elsewhere) needs targets")
+        if "uniform" in paths:
+            wrong.append(f"{name}: uniform (a bundle to simulate) does not go with table (runs done elsewhere)")
     else:
         if "labels" not in paths and "bundle" not in paths:
             wrong.append(f"{name}: neither labels (to mesh) nor bundle")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from lacli.cohort.analysis.influences import TOTAL, by_patient, over_patients
@@ -99,7 +100,10 @@ def transients_section(study: Path, pictures: Path) -> Section | None:
         if number_ < _MOST_PATIENTS:
             figures.append(picture(files[0], words))
     said = () if len(people) <= _MOST_PATIENTS else (f"Shown are {_MOST_PATIENTS} patients of {len(people)}.",)
-    misfits = table(study / MISFITS, "Most probable run less image, root mean square by patient and time (no time: whole phase)")
+    misfits = table(
+        study / MISFITS,
+        "Most probable run less image, root mean square by patient and time (no time: the phase; not used: held out)",
+    )
     return _section("transients", "Transients", (misfits,), tuple(figures), said)
 
 
@@ -169,6 +173,14 @@ def influences_section(study: Path, pictures: Path) -> Section | None:
         figures.append(
             _drawn(pictures, "influences_by_patient", words, lambda files: influence_figure(inputs, people, of_each, files))
         )
+        for number_, person in enumerate(people):
+            mine = [row for row in rows if row["participant_id"] == person]
+            named = [str(row["feature"]) for row in mine if str(row["feature"]) in names]
+            of_one = np.array([[float(row[name]) for row in mine if str(row["feature"]) in names] for name in inputs])
+            files = files_of(pictures, f"influences_{person}")
+            influence_figure(inputs, named, of_one, files)
+            if number_ < _MOST_PATIENTS:
+                figures.append(picture(files[0], f"Of {person}."))
     ranking_table = Table("Ranking", ("input", "mean share", "largest share"), ranked)
     return _section("sensitivity", "Sensitivity", (ranking_table,), tuple(figures), said)
 

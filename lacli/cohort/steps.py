@@ -12,6 +12,7 @@ from lacli.base.documents import brief, read_toml
 from lacli.base.errors import UsageError
 from lacli.cohort.participants import Participant
 
+UNIFORM = "uniform"  # the model of one thickness everywhere; the column of its bundle
 COMMANDS = ("mesh", "fat", "track", "calibrate", "compare")
 SLURM = ("time", "memory", "cpus", "account", "partition", "modules", "limit", "interface")
 _OPTION = re.compile(r"[a-z][a-z0-9-]*")
@@ -42,7 +43,8 @@ class Settings:
 
 @dataclass(frozen=True)
 class Step:
-    """name; arguments of ``lacli``; files and folders that it reads; the product that shows that it is done."""
+    """name (a command, of a second call ``command_what``); arguments of ``lacli``; files and folders that it reads; the product
+    that shows that it is done."""
 
     name: str
     arguments: tuple[str, ...]
@@ -90,7 +92,8 @@ def steps_of(patient: Participant, settings: Settings, folder: Path, scene: Path
     bundle, targets = paths.get("bundle", folder / "anatomy"), paths.get("targets", folder / "motion" / "targets.toml")
 
     def add(name: str, words: list[str], reads: list[Path], product: Path) -> None:
-        steps.append(Step(name, (name, *words, *settings.arguments(name)), tuple(reads), product))
+        command = name.partition("_")[0]
+        steps.append(Step(name, (command, *words, *settings.arguments(command)), tuple(reads), product))
 
     if table is None:
         # tracking puts the annulus' motion into a bundle that is the study's own, and changes nothing else of it
@@ -114,6 +117,13 @@ def steps_of(patient: Participant, settings: Settings, folder: Path, scene: Path
     else:
         words, reads = ["--from-table", str(table), *words], [table, targets]
     add("calibrate", words, reads, calibration / "result.json")
-    words = [str(calibration), "--targets", str(targets), "--out", str(folder / "comparison.json")]
-    add("compare", words, [calibration / "result.json", targets], folder / "comparison.json")
+    compared = [str(calibration), "--targets", str(targets), "--out", str(folder / "comparison.json")]
+    results = [calibration / "result.json"]
+    if table is None and (wall := paths.get("uniform")) is not None:
+        other = folder / f"calibration_{UNIFORM}"
+        words = [str(reads[0]), "--targets", str(targets), "--out", str(other), "--set", f"anatomy.bundle={wall}"]
+        add(f"calibrate_{UNIFORM}", words, [reads[0], wall, targets], other / "result.json")
+        compared += ["--other", f"{UNIFORM}={other}"]
+        results.append(other / "result.json")
+    add("compare", compared, [*results, targets], folder / "comparison.json")
     return steps

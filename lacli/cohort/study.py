@@ -130,7 +130,7 @@ def _otherwise(step: Step, known: dict[str, object]) -> str:
 
 def _method(step: Step) -> str:
     """What carries a step out: this version, its methods, and FreeFEM's scripts where it runs them."""
-    scripts = solver_digest() if step.name == "calibrate" else ""
+    scripts = solver_digest() if step.arguments[0] == "calibrate" else ""
     return f"lacli {__version__}, methods {content_hash({**METHODS, 'scripts': scripts})[:8]}"
 
 

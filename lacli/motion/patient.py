@@ -110,6 +110,7 @@ def track(
         "engine_settings": ENGINES[settings.engine].settings,
         "work_mm": settings.work_mm,
         "voxels": int(images[0].array.size),
+        "voxel_mm": images[0].spacing.tolist(),
         "noise_hu": float(mean.noise_hu),
         "true_over_known_normal": uncertainty.EASIER[0],
         "true_over_known_tangential": uncertainty.EASIER[1],

@@ -90,7 +90,8 @@ def fit_figure(fit: Sequence[Mapping[str, Any]], draws: FloatArray, path: Path) 
     with paper():
         import matplotlib.pyplot as plt
 
-        figure, axis = plt.subplots(figsize=(3.5, 0.9 + 0.3 * len(fit)))
+        step = 0.3 if len(fit) <= 20 else 0.14
+        figure, axis = plt.subplots(figsize=(3.5, 0.9 + step * len(fit)))
         place = np.arange(len(fit))[::-1]
         axis.axvspan(-1, 1, color=TARGET, alpha=0.2, lw=0)
         axis.axvline(0, color=TARGET, lw=0.8)
@@ -113,9 +114,10 @@ def fit_figure(fit: Sequence[Mapping[str, Any]], draws: FloatArray, path: Path) 
                 axis.plot(
                     (row["simulated"] - row["target"]) / row["sd"], p, "o", ms=4, color=INK, label="simulated" if j == 0 else None
                 )
-        axis.set_yticks(place, [label(str(row["feature"])) for row in fit], fontsize=7)
+        axis.set_yticks(place, [label(str(row["feature"])) for row in fit], fontsize=7 if len(fit) <= 20 else 5)
         axis.set_xlabel("(value - target) / target's sd")
-        axis.legend(fontsize=6.5, loc="upper center", bbox_to_anchor=(0.4, 1.22), ncols=3, columnspacing=0.8, handletextpad=0.3)
+        handles, names = axis.get_legend_handles_labels()
+        figure.legend(handles, names, fontsize=6.5, loc="outside upper center", ncols=3, columnspacing=0.8, handletextpad=0.3)
         return save(figure, path)
 
 

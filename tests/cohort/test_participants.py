@@ -53,6 +53,24 @@ def test_the_steps_follow_the_files(home: Path) -> None:
         steps_of(patients[1], Settings(), home, None)
 
 
+def test_a_bundle_of_uniform_thickness_is_calibrated_too_and_compared(home: Path) -> None:
+    (home / "flat").mkdir()
+    file = home / "participants.csv"
+    file.write_text("participant_id,bundle,targets,uniform\na,bundle,targets.toml,flat\nb,bundle,targets.toml,\n")
+    first, second = read_participants(file)
+    out = home / "out"
+    steps = steps_of(first, Settings({"calibrate": {"max-runs": 24}}), out, home / "scene.toml")
+    assert [s.name for s in steps] == ["calibrate", "calibrate_uniform", "compare"]
+    assert steps[1].arguments[0] == "calibrate" and f"anatomy.bundle={home / 'flat'}" in steps[1].arguments
+    assert steps[1].arguments[-2:] == ("--max-runs", "24") and home / "flat" in steps[1].reads
+    assert f"uniform={out / 'calibration_uniform'}" in steps[2].arguments
+    assert out / "calibration_uniform" / "result.json" in steps[2].reads, "done again where it changes"
+    assert [s.name for s in steps_of(second, Settings(), out, home / "scene.toml")] == ["calibrate", "compare"]
+    file.write_text("participant_id,table,targets,uniform\na,runs.csv,targets.toml,flat\n")
+    with pytest.raises(TableError, match="does not go with table"):
+        read_participants(file)
+
+
 @pytest.mark.parametrize(
     ("rows", "words"),
     [

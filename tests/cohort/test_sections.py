@@ -90,7 +90,7 @@ def test_sections_show_numbers_of_their_tables(bundle: Path, tmp_path: Path) -> 
     anatomies = sections.anatomies_section(tmp_path, pictures)
     assert anatomies is not None and len(anatomies.figures) == 3 and anatomies.tables[1].rows[-1][0] == "all"
     influences = sections.influences_section(tmp_path, pictures)
-    assert influences is not None and len(influences.figures) == 2 and influences.tables[0].rows[0] == ("alpha", "0.7", "0.7")
+    assert influences is not None and len(influences.figures) == 4 and influences.tables[0].rows[0] == ("alpha", "0.7", "0.7")
     assert influences.text[0].startswith("Total effects over the box")
     assert sections.transients_section(tmp_path, pictures) is None and sections.fits_section(tmp_path, pictures) is None
     assert {f.suffix for f in pictures.iterdir()} == {".png", ".pdf", ".svg"}

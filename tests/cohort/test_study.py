@@ -127,6 +127,10 @@ def test_the_tables_hold_who_is_done_and_say_who_is_not(tmp_path: Path) -> None:
     study = tmp_path / "study"
     for i in (0, 1):
         compared(study / f"sub-{i}", 0.2 + 0.2 * i)
+    (study / "sub-0" / "motion").mkdir()
+    (study / "sub-0" / "motion" / "tracking.json").write_text(
+        json.dumps({"times": [0.1 * i for i in range(10)], "voxel_mm": [0.4, 0.4, 0.8]})
+    )
     outcomes = [Outcome(f"sub-{i}", "done", "", "", {"mesh": 2.0, "calibrate": 5.0}) for i in (0, 1)]
     outcomes.append(Outcome("sub-2", "failed", "mesh", "no atrium", {}))
     summary = write_summary(study, patients, outcomes)
@@ -135,7 +139,10 @@ def test_the_tables_hold_who_is_done_and_say_who_is_not(tmp_path: Path) -> None:
     # .2 and .4: mean .3, sd .2 / sqrt 2
     assert (regional["name"], regional["patients"]) == ("regional", 2)
     assert regional["rmse_mean_mm"] == pytest.approx(0.3) and regional["rmse_sd_mm"] == pytest.approx(0.2 / np.sqrt(2.0))
+    # 2 effective parameters in each; -4 + -4, sqrt 2
+    assert [regional[key] for key in ("p_loo_mean", "p_loo_sd", "elpd", "elpd_se")] == pytest.approx([2.0, 0.0, -8.0, 2.0**0.5])
     people = pd.read_csv(study / PATIENTS)
+    assert people["frames"].tolist()[0] == 10 and people["voxel_mm"].tolist()[0] == 0.8 and people["frames"].isna().tolist()[1:]
     assert people["cpu_s"].tolist() == [7.0, 7.0, 0.0] and people["reason"].tolist()[2] == "no atrium"
     table = pd.read_csv(study / REGIONS)
     assert len(table) == 10 and set(table["region"]) == set(BODY_REGIONS)
@@ -157,6 +164,8 @@ def test_the_tables_hold_who_is_done_and_say_who_is_not(tmp_path: Path) -> None:
     titles = [section.title for section in made.sections]
     assert titles[:3] == ["Participants", "Models", "Fits"]
     shown = [row for section in made.sections for table in section.tables for row in table.rows]
+    assert ("age", "3", "61 ± 1", "60 to 62", "") in shown
+    assert ("regional", "2", "0.3", "0.141", "2", "0", "-8", "1.41") in shown
     assert ("d_roof_mm", "2", "4", "0", "20") in shown and any("regional is strongly preferred" in row for row in shown)
     (study / SUMMARY).write_text("{}")
     with pytest.raises(InputError, match="not a study's summary"):

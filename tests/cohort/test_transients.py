@@ -17,6 +17,7 @@ RESULT = {
     "runs_by_stage": {"starts": 3, "steps": 1}, "fit": [],
 }  # fmt: skip
 RUNS = [(1.0, 5.0, "done"), (3.0, 5.0, "failed"), (4.0, 6.0, "done"), (0.5, 4.0, "done"), (2.0, 5.0, "done")]
+USED = [{"feature": "d_roof_mm", "time": 0.4, "target": 3.9, "sd": 0.3}]
 
 
 def course(size: float) -> pd.DataFrame:
@@ -60,6 +61,7 @@ def test_the_image_s_the_first_runs_and_the_answer_s(patient: Path) -> None:
     row = at(rows, "d_roof_mm", 0.4)
     # the failed run is none of the first three that finished: 1, 2 and 3
     assert (row["first_runs"], row["first_low"], row["first_median"], row["first_high"]) == (3, 1.0, 2.0, 3.0)
+    assert row["used"] is False and at(transients("a", patient, RESULT, USED), "d_roof_mm", 0.4)["used"] is True
     assert row["at_map"] == 4.0 and row["image"] == pytest.approx(5.0 * np.sin(0.4 * np.pi) ** 2, rel=1e-3)
     assert row["image_sd"] == pytest.approx(0.3) and row["phase"] == "reservoir"
     assert at(rows, "volume_ml", 0.7)["at_map"] == 110.0 and at(rows, "volume_ml", 0.7)["phase"] == "conduit"
@@ -68,6 +70,10 @@ def test_the_image_s_the_first_runs_and_the_answer_s(patient: Path) -> None:
     assert between["at_map"] is None and between["first_runs"] == 0, "runs are known at their own times only"
     assert at(rows, "d_roof_mm", 0.9)["phase"] == "booster"
 
+    by_used = over_transients(transients("a", patient, RESULT, USED))
+    assert [(r["time"], r["used"]) for r in by_used if r["phase"] == "reservoir"] == [
+        (0.2, False), (0.4, True), (None, False), (None, True),
+    ]  # fmt: skip
     found = over_transients(rows)
     early, late, conduit, whole, _ = sorted(found, key=lambda r: (r["time"] is None, r["time"] or 0.0, r["phase"] != "reservoir"))
     image = 5.0 * np.sin(0.2 * np.pi) ** 2

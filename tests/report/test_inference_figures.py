@@ -64,6 +64,10 @@ def test_the_fit_is_in_standard_deviations_of_the_targets(tmp_path: Path, drawn:
     found = {round(float(x), 6) for line in drawn[0].axes[0].lines for x in np.atleast_1d(line.get_xdata())}
     # draws (6 - 5) / .5 = 2, (86 - 90) / 4 = -1; emulated 1 and 2; simulated -2 and 0
     assert {2.0, -1.0, 1.0, -2.0, 0.0} <= found
+    many = [{**fit[0], "feature": f"d_roof_mm@{k / 50:g}"} for k in range(1, 41)]
+    inference_figures_posterior.fit_figure(many, np.empty((0, 40)), tmp_path / "many.png")
+    assert [text.get_text() for text in drawn[1].axes[0].get_yticklabels()][24] == "d roof (mm) at 0.5"
+    assert drawn[1].get_size_inches()[1] < 8.0
 
 
 def test_the_corner_holds_the_marginals_on_the_box(tmp_path: Path, drawn: list[Figure]) -> None:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from lacli.inference.runs import RunLog
 
 RUNS = "runs"  # the folder of the simulations in a calibration's own
-FIGURES = ("corner.png", "trace.png")
+FIGURES = ("corner.png", "trace.png", "fit.png")
 
 
 def seek(
@@ -36,10 +36,12 @@ def seek(
 
     Arguments and errors as of ``lacli.calibrate``. Raises LacliError too where runs tell no derivatives or too few finish.
     """
+    import numpy as np
+
     from lacli.base.files import superseded
     from lacli.calibration.sequential.calibration import calibrate_sequentially
     from lacli.inference.sampling.posterior import LEAST_CONTRACTION
-    from lacli.report.inference_figures_posterior import corner_figure, trace_figure
+    from lacli.report.inference_figures_posterior import corner_figure, fit_figure, trace_figure
 
     job = _prepared(scene, targets, folder, settings, work)
     stage = Stage("calibration", 1.0, work.progress, work.cancel)
@@ -49,9 +51,12 @@ def seek(
     pictures: tuple[Path, ...] = ()
     if work.figures:
         stage.of("drawing", 0.0, 1.0)
-        corner, trace = (folder / name for name in FIGURES)
+        corner, trace, fit = (folder / name for name in FIGURES)
         unlearnt = [str(row["input"]) for row in result.table if float(row["contraction"]) < LEAST_CONTRACTION]
-        pictures = (corner_figure(result.chain, result.map_x, box, corner, as_prior=unlearnt), trace_figure(result.chain, trace))
+        pictures = (
+            corner_figure(result.chain, result.map_x, box, corner, as_prior=unlearnt), trace_figure(result.chain, trace),
+            fit_figure(result.fit, np.empty((0, len(result.fit))), fit),
+        )  # fmt: skip
     return Calibrated(folder, result, result.notes, (), result.refused, pictures)
 
 

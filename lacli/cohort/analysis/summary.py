@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from lacli.base.arrays import FloatArray
 from lacli.base.documents import read_json
 from lacli.base.files import replacing, write_json
 from lacli.cohort.analysis.convergence import convergence
@@ -97,7 +98,8 @@ def write_summary(study: Path, participants: Sequence[Participant], outcomes: Se
     state = {o.participant_id: o for o in outcomes}
     people = [
         {"participant_id": p.identifier, "status": state[p.identifier].status, "step": state[p.identifier].step,
-         "reason": state[p.identifier].reason, "cpu_s": sum(state[p.identifier].cpu_s.values()), **p.others}
+         "reason": state[p.identifier].reason, "cpu_s": sum(state[p.identifier].cpu_s.values()),
+         **_tracked(study / p.identifier), **p.others}
         for p in participants if p.identifier in state
     ]  # fmt: skip
     for name, frame in (
@@ -147,14 +149,34 @@ def median_cpu_s(study: Path) -> float | None:
 
 
 def _over_patients(models: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """RMSE of each model over the patients, mean and sd as published; sd null for one patient."""
+    """Of each model over the patients: RMSE and effective number of parameters, mean and sd (null for one patient), and the
+    sum of elpd with its standard error."""
     rows = []
     for name in dict.fromkeys(m["name"] for m in models):
-        values = np.array([m["rmse_mm"] for m in models if m["name"] == name and m["rmse_mm"] is not None])
-        if len(values):
-            sd = float(values.std(ddof=1)) if len(values) > 1 else None
-            rows.append({"name": name, "patients": len(values), "rmse_mean_mm": float(values.mean()), "rmse_sd_mm": sd})
+        mine = [m for m in models if m["name"] == name]
+        values = np.array([m["rmse_mm"] for m in mine if m["rmse_mm"] is not None])
+        if not len(values):
+            continue
+        rmse, sd = _mean_sd(values)
+        row: dict[str, Any] = {"name": name, "patients": len(values), "rmse_mean_mm": rmse, "rmse_sd_mm": sd}
+        if all(m.get(key) is not None for m in mine for key in ("p_loo", "elpd", "elpd_se")):
+            row["p_loo_mean"], row["p_loo_sd"] = _mean_sd(np.array([m["p_loo"] for m in mine]))
+            row["elpd"] = float(sum(m["elpd"] for m in mine))
+            row["elpd_se"] = float(np.sqrt(sum(m["elpd_se"] ** 2 for m in mine)))
+        rows.append(row)
     return rows
+
+
+def _mean_sd(values: FloatArray) -> tuple[float, float | None]:
+    return float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else None
+
+
+def _tracked(folder: Path) -> dict[str, Any]:
+    """Frames and largest side of the voxels (mm) of the images that were tracked; nothing where none were."""
+    file = folder / "motion" / "tracking.json"
+    info = read_json(file) if file.is_file() else {}
+    sides = info.get("voxel_mm")
+    return {"frames": len(info["times"]), **({"voxel_mm": max(sides)} if sides else {})} if "times" in info else {}
 
 
 def _fat(folder: Path) -> dict[str, dict[str, float]]:

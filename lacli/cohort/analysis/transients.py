@@ -28,7 +28,8 @@ def transients(
 ) -> list[dict[str, Any]]:
     """A row a feature and time (fraction of RR): phase; image with its sd, from the tracked motion in the patient's ``folder``
     or, without one, the targets ``moments`` (as ``fits.courses`` gives them) alone; of the calibration's first runs the number,
-    2.5 and 97.5 % and median; the value at the most probable point. Values in the features' units, None where not known.
+    2.5 and 97.5 % and median; the value at the most probable point; whether it was a target (``used``: any of ``moments`` there).
+    Values in the features' units, None where not known.
 
     Runs are known at their own times only, and where the calibration keeps them in its folder. Raises InputError, TableError.
     """
@@ -42,27 +43,31 @@ def transients(
         seen = {row["time"]: (row["target"], row["sd"]) for row in moments if row["feature"] == key}
         if image is not None:
             seen = dict(zip(image[0].tolist(), zip(*image[1][key], strict=True), strict=True)) if key in image[1] else {}
+        targets = [row["time"] for row in moments if row["feature"] == key]
         for time in _joined([*seen, *simulated.times]):
             value, sd = next((pair for at, pair in seen.items() if abs(at - time) < SAME_TIME), (None, None))
             row = {"participant_id": patient, "feature": key, "time": time, "phase": _phase(time, phases),
-                   "image": value, "image_sd": sd, **simulated.at(key, time)}  # fmt: skip
+                   "used": any(abs(at - time) < SAME_TIME for at in targets), "image": value, "image_sd": sd,
+                   **simulated.at(key, time)}  # fmt: skip
             rows.append(row)
     return rows
 
 
 def over_transients(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """By patient and time of the run at the most probable point after end-diastole: its phase, root mean square of run less image
-    over the regions' displacements (mm), and that of the volume (mL); over both also by phase, time None."""
+    """By patient and time of the run at the most probable point after end-diastole: its phase, whether any of it was a target
+    (``used``; what was not is held out), root mean square of run less image over the regions' displacements (mm), and that of the
+    volume (mL); also over the times of a phase, used and held out apart, time None."""
     frame = pd.DataFrame(list(rows))
     if frame.empty:
         return []
     frame = frame[(frame["time"] > 0.0) & frame["at_map"].notna() & frame["image"].notna()]
-    frame = frame.assign(off=frame["at_map"].astype(float) - frame["image"].astype(float))
+    used = frame.groupby(["participant_id", "time"])["used"].transform("any")
+    frame = frame.assign(off=frame["at_map"].astype(float) - frame["image"].astype(float), used=used)
     found = []
-    for (patient, time, phase), mine in frame.groupby(["participant_id", "time", "phase"], sort=False):
-        found.append({"participant_id": patient, "time": time, "phase": phase, **_misfit(mine)})
-    for (patient, phase), mine in frame.groupby(["participant_id", "phase"], sort=False):
-        found.append({"participant_id": patient, "time": None, "phase": phase, **_misfit(mine)})
+    for (patient, time, phase, told), mine in frame.groupby(["participant_id", "time", "phase", "used"], sort=False):
+        found.append({"participant_id": patient, "time": time, "phase": phase, "used": told, **_misfit(mine)})
+    for (patient, phase, told), mine in frame.groupby(["participant_id", "phase", "used"], sort=False):
+        found.append({"participant_id": patient, "time": None, "phase": phase, "used": told, **_misfit(mine)})
     return sorted(found, key=lambda r: (str(r["participant_id"]), r["time"] is None, r["time"] or 0.0))
 
 
