@@ -120,7 +120,7 @@ def courses_figure(frame: pd.DataFrame, files: Sequence[Path]) -> None:
         for axis in axes[1]:
             axis.set_xlabel("time (RR)", fontsize=7)
         handles, labels = axes[1, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=6)
+        figure.legend(handles, labels, loc="outside lower center", ncols=5 if len(people) > 2 else 2, fontsize=6)
         save_all(figure, files)
 
 

@@ -131,14 +131,14 @@ def scores_figure(frame: pd.DataFrame, files: Sequence[Path]) -> None:
         people, outputs = list(dict.fromkeys(frame["participant_id"])), list(dict.fromkeys(frame["output"]))
         shown = [name for name in (("r2", "$R^2$"), ("ise", "share within 2 sd")) if frame[name[0]].notna().any()]
         width, height = min(7.2, len(shown) * (0.34 * len(people) + 1.1) + 1.4), 0.17 * len(outputs) + 1.5
-        figure, axes = plt.subplots(1, len(shown), figsize=(max(3.5, width), height), sharey=True, squeeze=False)
+        figure, axes = plt.subplots(1, len(shown), figsize=(max(4.8, width), height), sharey=True, squeeze=False)
         for axis, (key, name) in zip(axes.flat, shown, strict=True):
             table = frame.pivot(index="output", columns="participant_id", values=key).reindex(index=outputs, columns=people)
             values = table.to_numpy(float)
             image = axis.imshow(values, cmap="viridis", vmin=min(0.9, float(np.nanmin(values))), vmax=1.0, aspect="auto")
             i, j = np.unravel_index(int(np.nanargmin(values)), values.shape)
             axis.add_patch(plt.Rectangle((float(j) - 0.5, float(i) - 0.5), 1.0, 1.0, fill=False, edgecolor=_RUN, linewidth=1.5))
-            axis.set_title(f"{name}\nworst: {values[i, j]:.3f}, {outputs[i]} of {people[j]}", fontsize=7)
+            axis.set_title(f"{name}\nworst: {values[i, j]:.3f}\n{outputs[i]} of {people[j]}", fontsize=7)
             axis.set_xticks(range(len(people)), people, rotation=90, fontsize=6)
             axis.set_yticks(range(len(outputs)), [label(output) for output in outputs], fontsize=6)
             figure.colorbar(image, ax=axis, fraction=0.05).ax.tick_params(labelsize=6)

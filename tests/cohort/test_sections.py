@@ -42,7 +42,7 @@ def test_errors_fall_with_the_cells_as_the_model_says(bundle: Path) -> None:
     # sqrt((.3^2 + .4^2) / 2)
     assert here.loc["measured", ["error_mm", "error_ml"]].tolist() == pytest.approx([0.125**0.5, 3.0])
     for _, line in frame[frame["source"] == "model"].groupby("order"):
-        assert (np.diff(line.sort_values("cell_mm")["error_mm"]) > 0).all() and len(line) == 7
+        assert (np.diff(line.sort_values("cell_mm")["error_mm"]) > 0).all() and len(line) == 5
     assert convergence("a", bundle, {"fit": FIT[-1:]})[0]["source"] == "measured", "no motion at end-systole, no model"
 
 

@@ -64,7 +64,7 @@ def test_the_worst_emulator_is_framed_and_named(tmp_path: Path, drawn: list[Figu
     frame = pd.DataFrame(scores, columns=["participant_id", "output", "r2", "ise"])
     fits.scores_figure(frame, [tmp_path / "s.png"])
     first, second = drawn[0].axes[:2]
-    assert first.get_title().endswith("worst: 0.620, esv_ml of b") and second.get_title().endswith("worst: 0.880, d_roof_mm of a")
+    assert first.get_title().endswith("worst: 0.620\nesv_ml of b") and second.get_title().endswith("worst: 0.880\nd_roof_mm of a")
     assert first.patches[0].get_xy() == (0.5, -0.5)
     assert np.asarray(first.images[0].get_array()).tolist() == [[0.99, 0.62], [0.98, 1.0]]
     fits.scores_figure(frame.assign(ise=np.nan), [tmp_path / "s.png"])

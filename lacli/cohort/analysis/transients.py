@@ -161,11 +161,11 @@ def _value(frame: pd.DataFrame, key: str, time: float) -> float | None:
 
 
 def _table(file: Path, inputs: Sequence[str]) -> pd.DataFrame | None:
-    """The finished runs of a calibration's table, in their order, with ``order`` among all; None where it tells no inputs."""
+    """Inputs and CPU seconds of the finished runs of a calibration's table, in their order; None where it tells no inputs."""
     frame = read_frame(file) if file.is_file() else None
     if frame is None or "status" not in frame or not set(inputs) <= set(frame.columns):
         return None
-    return frame.assign(order=np.arange(len(frame)))[frame["status"] == "done"]
+    return frame.loc[frame["status"] == "done", [*inputs, *(name for name in ("cpu_s",) if name in frame)]]
 
 
 def _records(frame: pd.DataFrame | None) -> list[dict[str, Any]]:

@@ -39,7 +39,9 @@ def patient(tmp_path: Path) -> Path:
         (run / "scene.toml").write_text(f"[materials.alpha]\nroof = {alpha}\n[loads]\nedp_mmhg = {edp}\n")
         course(size).to_csv(run / "transients.csv", index=False)
     frame = pd.DataFrame(RUNS, columns=["alpha_roof", "edp_mmhg", "status"])
-    frame.assign(cpu_s=1.0).to_csv(calibration / "runs.csv", index=False)
+    # as many derivatives as a real table has
+    slopes = pd.DataFrame({f"dy{k}/dalpha_roof": np.zeros(5) for k in range(300)})
+    pd.concat([frame, pd.DataFrame({"cpu_s": np.ones(5)}), slopes], axis=1).to_csv(calibration / "runs.csv", index=False)
     motion = tmp_path / "motion"
     motion.mkdir()
     time = np.arange(10) / 10
