@@ -23,6 +23,7 @@ KEPT_STUB_MM = 12.0  # a vessel whose rim is no farther than that from its ostiu
 GUESSED = 0.5  # confidence in names that rest on a guess, or on a reading that no atrium of the 23 measured comes near
 HOLE_MM = 6.0  # an unnamed rim narrower than that is a hole, a wider one a further vein
 VESSEL = 1.7  # of its rim's diameter: what is wider inside is the body, what is narrower no section of it
+WIDER, LEAST_VALVE_MM = 1.2, 15.0  # the valve's rim is that much wider than any other, and as wide at least
 AT_RIM = 0.8  # a branch that ends within that many diameters of a rim is the rim's vessel
 
 
@@ -170,9 +171,22 @@ def _parted(trunk: Candidate, names: tuple[str, str], openings: dict[str, Openin
 def at_ostia(seen: Sequence[Candidate], skeleton: Skeleton, cast: ostium.RadiusAt, ring_mm: float) -> list[Candidate]:
     """The candidates, rims at the end of long vessels put at those vessels' ostia: there they are named, and cut.
 
-    Where a rim is no farther than KEPT_STUB_MM from the ostium, or the section there is no vessel's, it stays what it is.
+    Where a rim is no farther than KEPT_STUB_MM from the ostium, or the section there is no vessel's, it stays what it is; so does
+    the one that is wide as a valve's, however narrow the atrium becomes towards it.
     """
-    return [_at_ostium(c, skeleton, cast, ring_mm) if c.source == RIM and c.cap and c.said != "mv" else c for c in seen]
+    stays = [c for c in seen if c.said == "mv"] or _wide_as_a_valve(seen)
+    return [
+        _at_ostium(c, skeleton, cast, ring_mm) if c.source == RIM and c.cap and not any(c is s for s in stays) else c
+        for c in seen
+    ]
+
+
+def _wide_as_a_valve(seen: Sequence[Candidate]) -> list[Candidate]:
+    """The rim or cap that is wider than all others by a fifth: the mitral valve's, wherever valve and veins are open."""
+    wide = sorted((c for c in seen if c.source in (RIM, CAP)), key=lambda c: -c.diameter_mm)
+    if not wide or wide[0].diameter_mm < LEAST_VALVE_MM or (len(wide) > 1 and wide[0].diameter_mm < WIDER * wide[1].diameter_mm):
+        return []
+    return wide[:1]
 
 
 def _at_ostium(rim: Candidate, skeleton: Skeleton, cast: ostium.RadiusAt, ring_mm: float) -> Candidate:
@@ -214,7 +228,7 @@ def gather(
     if not any(c.said == "mv" or c.source == CONTACT for c in everything):
         widest = max((c.diameter_mm for c in everything if c.source in (RIM, CAP)), default=0.0)
         veins = sorted((c.diameter_mm for c in everything), reverse=True)[1:]
-        if widest < 1.2 * max(veins, default=0.0) or widest < 15.0:
+        if widest < WIDER * max(veins, default=0.0) or widest < LEAST_VALVE_MM:
             everything.append(replace(_of_opening(mitral_from_shape(surface, skeleton, everything)), source=GUESS))
     return everything, branch_of
 
