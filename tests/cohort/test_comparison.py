@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm, truncnorm
 
 from lacli.base.errors import UsageError
@@ -50,10 +51,49 @@ def test_the_evidence_of_a_gaussian_in_a_box() -> None:
     assert found.draws.std(axis=0) == pytest.approx([0.2, 0.1, 0.3], rel=0.15)
 
 
+def test_the_standard_error_is_that_of_the_repetitions() -> None:
+    box = Box(("a", "b", "c"), np.full(3, -5.0), np.full(3, 5.0))
+    asked = -3 * math.log(10)
+    found = [
+        evidence(lambda x: multivariate_normal.logpdf(x, [1, 0, -1], np.diag([0.04, 0.01, 0.09])), box, 400, seed=seed)
+        for seed in range(1, 5)
+    ]
+    error, stated = np.array([one.log_z - asked for one in found]), np.array([one.se for one in found])
+    assert np.sqrt((error**2).mean()) == pytest.approx(np.sqrt((stated**2).mean()), rel=0.5)
+    # four repetitions that happen to agree would say next to nothing
+    assert stated.min() > 0.5 * np.sqrt((stated**2).mean())
+
+
 def test_the_evidence_where_half_of_the_mass_is_outside() -> None:
     box = Box(("a",), np.array([0.0]), np.array([2.0]))
     found = evidence(lambda x: norm.logpdf(x[:, 0], 0.0, 0.1), box, 400)
     assert found.log_z == pytest.approx(math.log(0.5 / 2), abs=max(4 * found.se, 0.1))
+
+
+def _normal_log_evidence(y: np.ndarray, sd: float) -> float:
+    """Of logarithms y (k,) seen with this sd, in closed form but for level and spread, which are summed over midpoints."""
+    low, high = math.log(0.5), math.log(4.0)
+    level = np.log(0.5 + 3.5 * (np.arange(700) + 0.5) / 700)[:, None]
+    spread = pooling.WIDEST * ((np.arange(800) + 0.5) / 800)[None]
+    # normal times normal is normal, of the mean and the sd that follow; the box cuts both
+    both = np.hypot(sd, spread)
+    found = -len(y) * np.log(norm.cdf((high - level) / spread) - norm.cdf((low - level) / spread))
+    for one in y:
+        mean, width = (level * sd**2 + one * spread**2) / both**2, sd * spread / both
+        found += norm.logpdf(one, level, both) + np.log(norm.cdf((high - mean) / width) - norm.cdf((low - mean) / width))
+    return float(logsumexp(found) - math.log(found.size))
+
+
+def test_the_evidence_of_two_groups_that_do_not_spread() -> None:
+    """Places that tell nothing, levels that are sharp, spreads against their end: one step for all of them moves none well."""
+    names = [f"{part}_{k}" for part in "ab" for k in range(5)]
+    box = Box(tuple(names), np.full(10, 0.5), np.full(10, 4.0))
+    wide, lift = pooling.pooled(box, (names[:5], names[5:]), [(0.5, 4.0)] * 2)
+    sd = 0.03
+    y = math.log(1.3) + sd * np.random.default_rng(1).normal(size=10)
+    found = evidence(lambda x: norm.logpdf(np.log(lift(x)), y, sd).sum(axis=1), wide, 200, repeats=24)
+    asked = _normal_log_evidence(y[:5], sd) + _normal_log_evidence(y[5:], sd)
+    assert found.log_z == pytest.approx(asked, abs=0.25)
 
 
 def test_regional_stiffness_is_found_where_there_is_contrast(model: Model) -> None:
