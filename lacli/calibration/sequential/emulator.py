@@ -247,8 +247,12 @@ def fit(
 
 
 def cost(theta: FloatArray, rows: Rows, moving: FloatArray, kind: Kind) -> tuple[float, FloatArray]:
-    """Negative log restricted likelihood of the observations (N, q), each with its own variance at its best, and the gradient;
-    theta (d + 1,): logarithms of the lengths and of the nugget."""
+    """Negative log restricted likelihood of the observations (N, q), with one variance at its best for all, and the gradient;
+    theta (d + 1,): logarithms of the lengths and of the nugget.
+
+    One variance, although components differ in theirs: with a variance for each, every component has an equal say in the lengths,
+    and many that hardly move decide over few that make the misfit. So squared residuals count, whatever component they are of.
+    """
     d = rows.z.shape[1]
     lengths, nugget = np.exp(theta[:d]), float(np.exp(theta[d]))
     k, own = rows.kernel(kind, lengths, nugget)
@@ -270,12 +274,12 @@ def cost(theta: FloatArray, rows: Rows, moving: FloatArray, kind: Kind) -> tuple
     q = solve_triangular(information, kh.T, lower=True)
     py = inverse @ moving - q.T @ (q @ moving)
     free = len(moving) - d - 1
-    size = np.maximum((moving * py).sum(0) / free, 1e-12)
+    size = max(float((moving * py).sum()) / (free * moving.shape[1]), 1e-12)
     determinant = size_of_k + 2.0 * np.log(np.diag(information)).sum()
     # weakly held towards the box's width: an input that nothing depends on has no length
     off = theta[:d] - 0.5
-    value = 0.5 * (free * np.log(size).sum() + determinant * moving.shape[1]) + 0.5 * float(off @ off)
-    weight = 0.5 * (moving.shape[1] * (inverse - q.T @ q) - (py / size) @ py.T)
+    value = 0.5 * moving.shape[1] * (free * np.log(size) + determinant) + 0.5 * float(off @ off)
+    weight = 0.5 * (moving.shape[1] * (inverse - q.T @ q) - py @ py.T / size)
     gradient = np.empty(d + 1)
     gradient[d] = float(weight.diagonal() @ own) * nugget / (nugget + _JITTER)
     along, by = rows.along(), rows.divided(lengths)

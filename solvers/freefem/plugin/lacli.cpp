@@ -17,6 +17,9 @@ namespace {
 
 Model *the = nullptr;
 
+// of an array that may be empty, whose entry 0 is nothing that one may refer to
+template <class T> T *first(KN<T> &a) { return a; }
+
 // laMesh([nU, nP, cells, nodes per cell, points, ordering], nodes of cells, pressure unknowns of cells)
 long laMesh(KN<long> *const &sizes, KN<long> *const &nodes, KN<long> *const &pressures) {
   delete the;
@@ -84,11 +87,11 @@ long laCells(KN<double> *const &table, KN<double> *const &image) {
   return 0;
 }
 
-// laRest(x): springs are at rest in x from now on, for the prestrain problem too; empty: in X - v
+// laRest(x): springs are at rest in x, for the prestrain problem from now on, for others from the next laPrestrain; empty: in X - v
 long laRest(KN<double> *const &x) {
   Model &P = *the;
   ffassert(x->N() == 0 || x->N() == 3L * P.nU);
-  P.rest.assign(&(*x)[0], &(*x)[0] + x->N());
+  P.rest.assign(first(*x), first(*x) + x->N());
   return 0;
 }
 
@@ -182,7 +185,7 @@ long laAssemble(long const &asked, KN<double> *const &y, KN<double> *const &refe
   const Task task = asked == RESIDUAL || asked == PRESTRAIN_RESIDUAL ? Task::residual
                     : asked == INVERSE || asked == PRESTRAIN         ? Task::inverse
                                                                      : Task::forward;
-  const double *anchor = P.anchor.empty() ? &(*reference)[0] : P.anchor.data();
+  const double *anchor = P.anchor.empty() ? first(*reference) : P.anchor.data();
   if (task != Task::residual) s.clear(sym);
   KN<double> &R = *residual;
   R = 0.0;
@@ -255,7 +258,7 @@ long laFactor() {
 // laSolve(b, x): K x = b on the free unknowns with the last factors, x = 0 on the held ones
 long laSolve(KN<double> *const &b, KN<double> *const &x) {
   Model &P = *the;
-  const long error = P.mumps.solve(P.system, &(*b)[0], &(*x)[0]);
+  const long error = P.mumps.solve(P.system, first(*b), first(*x));
   for (int i = 0; i < P.system.n; ++i)
     if (P.system.fixed[i]) (*x)[i] = 0.0;
     else if (!std::isfinite((*x)[i])) return -99;
@@ -264,7 +267,7 @@ long laSolve(KN<double> *const &b, KN<double> *const &x) {
 
 // laMultiply(v, y): y = K v with the last tangent, held unknowns included
 long laMultiply(KN<double> *const &v, KN<double> *const &y) {
-  the->system.multiply(&(*v)[0], &(*y)[0]);
+  the->system.multiply(first(*v), first(*y));
   return 0;
 }
 
@@ -289,7 +292,7 @@ long laInputs(KN<long> *const &regions, KN<double> *const &slopeOfWeights) {
   for (Faces &set : P.faces)
     if (set.kind == PERICARDIUM || set.kind == PERICARDIUM_OUTWARD) {
       if (slopeOfWeights->N() != (long)set.weight.size()) bad = 1;
-      else set.slope.assign(&(*slopeOfWeights)[0], &(*slopeOfWeights)[0] + slopeOfWeights->N());
+      else set.slope.assign(first(*slopeOfWeights), first(*slopeOfWeights) + slopeOfWeights->N());
     }
   return bad;
 }
@@ -300,19 +303,19 @@ long laSlopes(KN<double> *const &y, KN<double> *const &reference, KN<double> *co
               KN<double> *const &out) {
   const long n = (long)INPUTS * the->system.n;
   ffassert(out->N() == n && shares->N() == 2 && (rates->N() == 0 || rates->N() == n) && !the->regions.empty());
-  return slopes(*the, &(*y)[0], &(*reference)[0], rates->N() ? &(*rates)[0] : nullptr, &(*shares)[0], &(*out)[0]);
+  return slopes(*the, first(*y), first(*reference), rates->N() ? first(*rates) : nullptr, first(*shares), first(*out));
 }
 
 // laSolveAll(b, z): K z = b for all inputs' columns with the last factors
 long laSolveAll(KN<double> *const &b, KN<double> *const &z) {
   ffassert(b->N() == (long)INPUTS * the->system.n && z->N() == b->N());
-  return solve_all(*the, &(*b)[0], &(*z)[0]);
+  return solve_all(*the, first(*b), first(*z));
 }
 
 // laWriteRates(file, node of each unknown, columns of all inputs): 0, or 1 where it cannot be written
 long laWriteRates(string *const &file, KN<long> *const &order, KN<double> *const &rates) {
   ffassert(order->N() == the->nU && rates->N() == (long)INPUTS * the->system.n);
-  return write_rates(*the, file->c_str(), *order, &(*rates)[0]);
+  return write_rates(*the, file->c_str(), *order, first(*rates));
 }
 
 // laKeep(file, unknowns, their columns of all inputs), laRead(file, array of the length wanted): 0, or 1
