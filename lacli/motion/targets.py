@@ -137,6 +137,8 @@ def measured(course: Course, model: ErrorModel, times: Sequence[float] | None = 
     w = np.array(weights)
     over_time = w @ frames @ w.T
     sd = model.sd[column]
+    if course.shrinkage is not None:
+        sd = sd * course.shrinkage.undoing(keys)
     within = model.correlation[np.ix_(column, column)] * np.outer(sd, sd)
     covariance = np.kron(over_time, within)
     for i, error in enumerate(between):

@@ -21,9 +21,10 @@ def test_the_slope_of_errors_on_changes_by_hand() -> None:
     found = shrinkage_of(KEYS, errors, changes)
     assert found.share[[0, 2, 3]] == pytest.approx(-0.1)
     assert found.sd[[0, 2, 3]] == pytest.approx(0.05), "no error of its own, half of it for what known motions do not tell"
-    # d_global: slope (.1 - .4) / 5 = -.06; e - s v = .16, -.08; by motion .16, -.16; sd^2 = (2 x .16^2) / 25 + .03^2
+    # d_global: slope (.1 - .4) / 5 = -.06; e - s v = .16, -.08; by motion .16, -.16, one of two motions given for the slope;
+    # sd^2 = 2 (2 x .16^2) / 25 + .03^2
     assert found.share[1] == pytest.approx(-0.06)
-    assert found.sd[1] == pytest.approx(np.sqrt(2 * 0.16**2 / 25 + 0.03**2))
+    assert found.sd[1] == pytest.approx(np.sqrt(2 * 2 * 0.16**2 / 25 + 0.03**2))
     assert (found.share[4], found.sd[4]) == (0.0, 0.0), "what never changes tells no share"
 
 
@@ -47,13 +48,38 @@ def test_one_share_s_error_moves_its_targets_together() -> None:
     moved = np.array([0.4, 0.05, 0.12, 0.1])
     together = np.array([[1, 1, 0, 1], [1, 1, 0, 1], [0, 0, 1, 0], [1, 1, 0, 1]])
     assert covariance == pytest.approx(np.outer(moved, moved) * together)
+    shrunk = Shrinkage(KEYS, np.full(5, -0.1), found.sd)
+    # the derivative of v / (1 + s) by s, at the corrected v / (1 + s)
+    assert shrunk.covariance(keys, np.array([40.0, 5.0, 6.0, 10.0])) == pytest.approx(covariance / 0.81)
     assert group_of("volume_ml") == group_of("n_roof_mm") != group_of("d_global_mm") == group_of("d_roof_mm")
 
 
 def test_a_band_widens_with_the_change() -> None:
     stated = {"volume": {"share": -0.03, "sd": 0.01}}
-    assert spread("volume_ml", 0.3, np.array([0.0, 40.0]), stated) == pytest.approx([0.3, 0.5])
+    # noise and share are of what was tracked, 3 % too little
+    assert spread("volume_ml", 0.3, np.array([0.0, 40.0]), stated) == pytest.approx([0.3 / 0.97, 0.5 / 0.97])
     assert spread("volume_ml", 0.3, np.array([40.0]), None) == pytest.approx([0.3])
+
+
+@pytest.mark.parametrize("motions", [2, 5])
+def test_stated_errors_are_those_made_however_few_motions_tell_them(motions: int) -> None:
+    """Over many patients, a new motion's error after its share is undone against what is stated of it, in the mean square."""
+    rng = np.random.default_rng(4)
+    keys = ("volume_ml", "d_global_mm")
+    made, stated = np.zeros(2), np.zeros(2)
+    for _ in range(1200):
+        change = rng.uniform(5.0, 15.0, (motions + 1, 2))
+        error = rng.normal(size=change.shape)
+        rows, changes = ([dict(zip(keys, row, strict=True)) for row in of[:-1]] for of in (error, change))
+        model = error_model(rows, changes)
+        shrinkage = model.shrinkage
+        assert shrinkage is not None
+        undoing = 1.0 / (1.0 + shrinkage.share)
+        made += ((change[-1] + error[-1]) * undoing - change[-1]) ** 2
+        # of the share's sd, what is for known motions being easier is not at issue here: no share is true
+        sampled = np.maximum(shrinkage.sd**2 - (0.5 * shrinkage.share) ** 2, 0.0)
+        stated += ((model.sd * undoing) ** 2) + sampled * (change[-1] * undoing) ** 2
+    assert stated / made == pytest.approx([1.0, 1.0], rel=0.12)
 
 
 def test_targets_are_free_of_it_and_the_published_seven_as_tracked() -> None:

@@ -35,6 +35,11 @@ class Shrinkage:
     share: FloatArray
     sd: FloatArray
 
+    def undoing(self, keys: Sequence[str]) -> FloatArray:
+        """(p,): what a change of each key, and its error, is multiplied with."""
+        share = dict(zip(self.keys, self.share.tolist(), strict=True))
+        return np.array([1.0 / (1.0 + share.get(key, 0.0)) for key in keys])
+
     def undone(self, row: Mapping[str, float], ed: Mapping[str, float]) -> dict[str, float]:
         """Features as they would be without it; ``ed``: those at end-diastole, from which changes count."""
         share = dict(zip(self.keys, self.share.tolist(), strict=True))
@@ -43,7 +48,7 @@ class Shrinkage:
     def covariance(self, keys: Sequence[str], changes: FloatArray) -> FloatArray:
         """(p, p) of targets of these keys whose changes (p,) were corrected: all that one group's share moves together."""
         sd = dict(zip(self.keys, self.sd.tolist(), strict=True))
-        moved = np.array([sd.get(key, 0.0) for key in keys]) * changes
+        moved = np.array([sd.get(key, 0.0) for key in keys]) * changes * self.undoing(keys)
         groups = np.array([group_of(key) for key in keys])
         return np.where(groups[:, None] == groups[None], np.outer(moved, moved), 0.0)
 
@@ -57,20 +62,28 @@ def shrinkage_of(keys: Sequence[str], errors: FloatArray, changes: FloatArray) -
     share, sd = np.zeros(len(keys)), np.zeros(len(keys))
     for kind in set(kinds.tolist()):
         here = kinds == kind
-        e, v = errors[:, here], changes[:, here]
-        size = float((v**2).sum())
-        if size <= 0.0:
-            continue
-        slope = float((e * v).sum()) / size
-        by_motion = ((e - slope * v) * v).sum(axis=1)
+        slope, variance = slope_of(errors[:, here], changes[:, here])
         kept = float(np.clip(slope, -_MOST, _MOST))
         share[here] = kept
-        sd[here] = np.sqrt(float((by_motion**2).sum()) / size**2 + (_TOLD * slope) ** 2 + (slope - kept) ** 2)
+        sd[here] = np.sqrt(variance + (_TOLD * slope) ** 2 + (slope - kept) ** 2)
     return Shrinkage(tuple(keys), share, sd)
+
+
+def slope_of(errors: FloatArray, changes: FloatArray) -> tuple[float, float]:
+    """Slope of errors on changes (m, r) of one kind, and its variance: motions are independent, features of one are not.
+
+    Few motions: what is left has given one of them for the slope (as CR1 of Cameron, Miller 2015, J Hum Resour 50:317).
+    """
+    size, m = float((changes**2).sum()), len(errors)
+    if size <= 0.0:
+        return 0.0, 0.0
+    slope = float((errors * changes).sum()) / size
+    by_motion = ((errors - slope * changes) * changes).sum(axis=1)
+    return slope, float((by_motion**2).sum()) / size**2 * m / max(m - 1, 1)
 
 
 def spread(key: str, sd: float, change: FloatArray, stated: Mapping[str, Mapping[str, float]] | None) -> FloatArray:
     """Standard deviation (in the feature's unit) where it has changed by so much since end-diastole; ``stated``: the shrinkage by
-    kind, as in tracking.json, or None."""
-    part = (stated or {}).get(kind_of(key)[0])
-    return np.hypot(sd, (part["sd"] if part else 0.0) * np.asarray(change, dtype=float))
+    kind, as in tracking.json, or None. The change is the corrected one."""
+    part = (stated or {}).get(kind_of(key)[0], {"share": 0.0, "sd": 0.0})
+    return np.asarray(np.hypot(sd, part["sd"] * np.asarray(change, dtype=float)) / (1.0 + part["share"]))

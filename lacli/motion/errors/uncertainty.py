@@ -20,7 +20,7 @@ from lacli.contracts.features import kind_of
 from lacli.contracts.labels import REGIONS
 from lacli.contracts.tables.error_groups import Groups
 from lacli.geometry.quadrature import at_quadrature
-from lacli.motion.errors.shrinkage import Shrinkage, shrinkage_of
+from lacli.motion.errors.shrinkage import Shrinkage, shrinkage_of, slope_of
 from lacli.motion.field import Field, pull
 from lacli.motion.tracking import Pair
 
@@ -131,15 +131,19 @@ class Known:
 
 
 def known_pair(name: str, of: Template, field: Field | None, points: FloatArray, seed: int) -> Known:
-    """The template at rest and moved by the field (None: not moved), each with its own noise."""
-    rng = np.random.default_rng([SEED, seed])
+    """The template at rest and moved by the field (None: not moved), each with its own noise.
+
+    At rest it is one image for all seeds: a patient's frames are all registered to one end-diastole, whose noise they share.
+    """
+    rng = np.random.default_rng([SEED, seed, 1])
+    rest = noisy(of.image, of, np.random.default_rng(SEED))
     if field is None:
-        return Known(Pair(name, noisy(of.image, of, rng), noisy(of.image, of, rng)), np.zeros_like(points))
+        return Known(Pair(name, rest, noisy(of.image, of, rng)), np.zeros_like(points))
     back = _on_grid(field.inverse(), of.image)
     moved = pull(of.image, back)
     # the moved image is the template at y + v(y): what was at x is now at x + w(x), w the inverse of v, exactly
     w = back.solve_inverse_at(points, field.at(points))
-    return Known(Pair(name, noisy(of.image, of, rng), noisy(moved, of, rng)), w)
+    return Known(Pair(name, rest, noisy(moved, of, rng)), w)
 
 
 def _on_grid(field: Field, image: Image) -> Field:
@@ -179,15 +183,19 @@ def error_model(errors: Sequence[Mapping[str, float]], changes: Sequence[Mapping
     """
     keys = tuple(errors[0])
     e = np.array([[row[key] for key in keys] for row in errors])
-    found = None
+    found, taken = None, np.zeros(len(keys))
+    kinds = [kind_of(key) for key in keys]
+    names = [kind for kind, _ in kinds]
     if changes is not None:
         change = np.array([[row[key] for key in keys] for row in changes])
         found = shrinkage_of(keys, e, change)
+        for kind in set(names):
+            here = np.array([name == kind for name in names])
+            # the slope goes along with the errors that it is fitted to, and takes this much of their square away
+            taken[here] = slope_of(e[:, here], change[:, here])[1] * (change[:, here] ** 2).mean(axis=0)
         e = e - found.share * change
-    kinds = [kind_of(key) for key in keys]
-    names = [kind for kind, _ in kinds]
-    pooled = {kind: float(np.mean(e[:, [i for i, n in enumerate(names) if n == kind]] ** 2)) for kind in set(names)}
-    own = (e**2).mean(axis=0)
+    own = (e**2).mean(axis=0) + taken
+    pooled = {kind: float(np.mean(own[[i for i, n in enumerate(names) if n == kind]])) for kind in set(names)}
     prior = np.array([pooled[name] for name in names])
     sd = np.sqrt((len(e) * own + _PRIOR_SAMPLES * prior) / (len(e) + _PRIOR_SAMPLES))
     sd = np.maximum(sd, 1e-9)
