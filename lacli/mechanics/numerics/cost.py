@@ -8,7 +8,8 @@ How many systems a scene takes is known in the middle only: Newton's method take
 end-systole where the wall stays smooth, and tens where a soft region at high pressure snaps through, which no number of the
 scene foretells sharply. So the cost is a middle and a range, and finished runs near by narrow it.
 
-``benchmarks/terms.py`` measures prices, factors and what the forecast is worth.
+``benchmarks/terms.py`` measures prices, factors and what the forecast is worth, ``benchmarks/cost_fit.py`` the coefficients on
+runs that were kept.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ import numpy as np
 
 from lacli.base.arrays import FloatArray
 from lacli.contracts.bundle import Bundle
+from lacli.contracts.features import SAME_TIME
 from lacli.contracts.parameters import QUANTITIES, STUDY
 from lacli.contracts.scene import Scene, parameters_of
 from lacli.geometry.tetrahedra import TET10_EDGES
@@ -36,6 +38,9 @@ _SYSTEMS = (0.892, -0.219, 0.067, 0.568)
 _QUADRATIC = 1.36
 _LEAST_EDP = 1.0  # mmHg: below it the prestrain takes its two systems all the same
 _UNHELD = 0.7  # of them, without pericardium
+# states before end-systole, by order: systems as (1 + states)^(a - b ln soft), no fewer: a stiff wall is soon at the next state,
+# a soft one gives way between them
+_EARLY = {1: (0.37, 0.53), 2: (0.72, 0.62)}
 _CONDUIT = 1.5  # systems for each stretch of the conduit
 _UNLOADED, _FRAME = 1.3, 0.05  # factors of the whole; sensitivities of each further frame
 _REST = 0.4  # of the whole, for each sweep of springs at rest where the wall relaxes
@@ -44,8 +49,9 @@ _SENSITIVITIES, _POINTS_14, _SCRIPT = {1: 1.06, 2: 1.05}, {1: 2.3, 2: 1.3}, {1: 
 _BACKWARD = 3.5  # times the systems
 # runs near by: how near counts (of the box's diagonal units), what a run of the other order counts, runs' worth of the middle
 _NEAR, _OTHER_ORDER, _PRIOR = 0.3, 0.5, 0.25
-# logarithm of what is left unknown: by order without runs near by, with many; nine of ten lie from -1.3 to +1.9 of it
-_UNKNOWN, _LEFT = {1: 0.30, 2: 0.45}, 0.17
+# logarithm of what is left unknown: by order without runs near by, what states before end-systole add, with many runs; nine
+# of ten lie from -1.3 to +1.9 of it
+_UNKNOWN, _UNKNOWN_EARLY, _LEFT = {1: 0.30, 2: 0.45}, 0.35, 0.17
 _BELOW, _ABOVE = 1.3, 1.9
 
 
@@ -82,14 +88,25 @@ def unknowns(bundle: Bundle, order: int) -> int:
     return 3 * nodes + corners
 
 
-def systems(scene: Scene) -> float:
-    """Linear systems that an ordinary scene takes, in the middle, to its last state."""
+def softest_kpa(scene: Scene) -> float:
+    """The least C alpha of a region, kPa."""
     regional = dict(zip(STUDY, parameters_of(scene, STUDY), strict=True))
-    soft = min(
+    return min(
         value * regional[name.replace("c_", "alpha_").removesuffix("_kpa")]
         for name, value in regional.items()
         if name[:2] == "c_"
     )
+
+
+def early_states(scene: Scene) -> int:
+    """States between end-diastole and end-systole that a scene asks for."""
+    outputs, es = scene.outputs, scene.motion.es_time
+    return sum(0 < t < es - SAME_TIME for t in outputs.times) if outputs.times else max(1, outputs.frames) - 1
+
+
+def systems(scene: Scene) -> float:
+    """Linear systems that an ordinary scene takes, in the middle, to its last state."""
+    soft = softest_kpa(scene)
     level, by_soft, by_edp, by_esp = _SYSTEMS
     count = exp(
         level + by_soft * log(soft) + by_edp * log(max(scene.loads.edp_mmhg, _LEAST_EDP)) + by_esp * log(scene.loads.esp_mmhg)
@@ -99,6 +116,8 @@ def systems(scene: Scene) -> float:
     if scene.pericardium.k_peri_kpa_per_um == 0:
         count *= _UNHELD
     outputs = scene.outputs
+    by_states, by_states_soft = _EARLY[scene.numerics.order]
+    count *= (1 + early_states(scene)) ** max(0.0, by_states - by_states_soft * log(soft))
     late = sum(t > scene.motion.es_time for t in outputs.times) if outputs.times else max(4, outputs.frames) * outputs.conduit
     return count + _CONDUIT * late
 
@@ -151,7 +170,8 @@ def expected(scene: Scene, bundle: Bundle, earlier: Iterable[Earlier]) -> Cost:
 
 def _cost(scene: Scene, count: int, cpu: float, memory: float, runs: int, weight: float) -> Cost:
     """With its range, for runs near by of a weight in all."""
-    unknown = sqrt(_LEFT**2 + (_UNKNOWN[scene.numerics.order] ** 2 - _LEFT**2) * _PRIOR / (weight + _PRIOR))
+    blind = _UNKNOWN[scene.numerics.order] ** 2 + (_UNKNOWN_EARLY**2 if early_states(scene) else 0.0)
+    unknown = sqrt(_LEFT**2 + (blind - _LEFT**2) * _PRIOR / (weight + _PRIOR))
     return Cost(count, cpu, memory, runs, cpu * exp(-_BELOW * unknown), cpu * exp(_ABOVE * unknown))
 
 
