@@ -26,13 +26,13 @@ def scene(tmp_path: Path) -> Scene:
     return build_scene({"anatomy": {"bundle": "la"}}, [], folder=tmp_path, where="test")
 
 
-def keep(scene: Scene, store: Path, cpu_s: float) -> None:
+def keep(scene: Scene, store: Path, cpu_s: float, way: str = "cold") -> None:
     """A finished run of the scene, which took so long."""
     with open_run(store, run_key(scene)) as run:
         (run.folder / "scene.toml").write_text(dump_scene(scene), encoding="utf-8")
         features = {"unknowns": 256, "cpu_s": cpu_s, "peak_memory_mb": 50.0, "newton_iterations": 12}
         (run.folder / "features.json").write_text(json.dumps(features), encoding="utf-8")
-        run.finish(products=["scene.toml", "features.json"])
+        run.finish(products=["scene.toml", "features.json"], start={"way": way})
 
 
 def test_runs_times_what_one_takes_and_finished_runs_correct_it(scene: Scene, tmp_path: Path) -> None:
@@ -43,6 +43,12 @@ def test_runs_times_what_one_takes_and_finished_runs_correct_it(scene: Scene, tm
     assert [found.scene for found in earlier(tmp_path / "runs")] == [scene]
     corrected = price("own", scene, 10, earlier(tmp_path / "runs"))
     assert corrected.each.runs == 1 and corrected.cpu_s > 1.5 * 10 * plain.each.cpu_s
+
+
+@pytest.mark.parametrize("way", ["cold", "warm"])
+def test_runs_that_began_warm_are_known(scene: Scene, tmp_path: Path, way: str) -> None:
+    keep(scene, tmp_path / "runs", 3.0, way)
+    assert [found.warm for found in earlier(tmp_path / "runs")] == [way == "warm"]
 
 
 def test_a_calibration_s_price_is_told_by_kind_of_run_and_nothing_is_run(scene: Scene, tmp_path: Path) -> None:

@@ -73,10 +73,12 @@ class Cost:
 
 @dataclass(frozen=True)
 class Earlier:
-    """A finished run: its scene, its features (``unknowns`` among them), CPU seconds and memory."""
+    """A finished run: its scene, its features (``unknowns`` among them), CPU seconds and memory; whether it began where another
+    had ended, which tells the machine's speed and not how many systems a run takes."""
 
     scene: Scene
     features: Mapping[str, Any]
+    warm: bool = False
 
 
 def unknowns(bundle: Bundle, order: int) -> int:
@@ -159,7 +161,8 @@ def expected(scene: Scene, bundle: Bundle, earlier: Iterable[Earlier]) -> Cost:
         speeds.append(log(float(run.features["cpu_s"]) / price(run.scene, size, solved)))
         more.append(log(solved / _all_systems(run.scene)))
         apart = float(np.linalg.norm(_inputs(run.scene) - here)) / _NEAR
-        weights.append(exp(-0.5 * apart**2) * (1.0 if run.scene.numerics.order == scene.numerics.order else _OTHER_ORDER))
+        same = 1.0 if run.scene.numerics.order == scene.numerics.order else _OTHER_ORDER
+        weights.append(0.0 if run.warm else exp(-0.5 * apart**2) * same)
         if used := run.features.get("peak_memory_mb"):
             of_memory.append(float(used) / ordinary(run.scene, size)[1])
     weight = sum(weights)

@@ -18,7 +18,9 @@ def earlier(root: Path) -> list[Earlier]:
     found = []
     for run in sorted(done, key=lambda run: str(run.manifest.get("finished")))[-_PRICED:]:
         try:
-            found.append(Earlier(load_scene(run.folder / "scene.toml"), run.features()))
+            begun = run.manifest.get("start")
+            warm = isinstance(begun, dict) and begun.get("way") == "warm"
+            found.append(Earlier(load_scene(run.folder / "scene.toml"), run.features(), warm))
         except LacliError:
             continue  # of an earlier version, or damaged: no price is worth a failure
     return found

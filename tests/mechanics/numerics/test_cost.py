@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -104,6 +105,16 @@ def test_runs_near_by_tell_how_many_systems() -> None:
     # far away it tells nothing: 14 inputs at the other end of their ranges
     far = with_parameters(scene(), dict.fromkeys((n for n in STUDY if n.startswith(("c_", "alpha_"))), 3.9))
     assert expected(far, bundle, [often]).cpu_s == pytest.approx(expected(far, bundle, []).cpu_s, rel=1e-3)
+
+
+def test_warm_runs_tell_the_speed_alone() -> None:
+    """From where another had ended a run takes a few systems; one that finds none near by takes what it ordinarily does."""
+    bundle = hollow_cube()
+    few = 0.25 * systems(scene())
+    warm = replace(ran(scene(), 2.0 * price(scene(), 256, few), solved=few), warm=True)
+    blind, told = (expected(scene(), bundle, runs) for runs in ([], [warm] * 9))
+    assert told.cpu_s == pytest.approx(2.0 * blind.cpu_s)
+    assert told.high_s / told.cpu_s == pytest.approx(blind.high_s / blind.cpu_s)
 
 
 def test_the_range_narrows_with_runs() -> None:
