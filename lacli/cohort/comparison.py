@@ -2,9 +2,10 @@
 are tied; and other anatomies.
 
 All models of one simulator share its emulators: a tied model is the same emulators on a smaller box, so it costs no runs. Told
-are the evidence with a uniform prior on the box (of regions about a level: see ``pooling``), PSIS-LOO over the targets (Vehtari
-et al. 2017; with correlated errors by the conditional densities of Buerkner et al. 2021) with its effective number of parameters,
-and the misfit of the displacements.
+are the evidence with a uniform prior on the box (of regions about a level: see ``pooling``) times the priors that the targets
+state, as the calibration had them, which to all models alike are what was seen of inputs beside the targets; PSIS-LOO over the
+targets (Vehtari et al. 2017; with correlated errors by the conditional densities of Buerkner et al. 2021) with its effective
+number of parameters; and the misfit of the displacements.
 """
 
 from __future__ import annotations
@@ -12,17 +13,19 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lacli.base import quiet
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import UsageError
+from lacli.calibration.sequential.evidence import narrowed
 from lacli.calibration.sequential.outputs import Features
 from lacli.cohort.evidence import evidence
 from lacli.cohort.pooling import pooled
 from lacli.contracts.labels import BODY_REGIONS
+from lacli.contracts.priors import log_prior
 from lacli.contracts.targets import Targets
 from lacli.inference.box import Box, make_box
 from lacli.inference.emulation.emulator_set import AnyEmulators
@@ -154,10 +157,12 @@ def reduced(model: Model) -> tuple[Box, Callable[[FloatArray], FloatArray]]:
 
 
 def _fit(model: Model, targets: Targets, particles: int, seed: int, tick: Callable[[], None]) -> tuple[Fit, list[str]]:
-    box, lift = reduced(model)
+    box, lift = reduced(replace(model, box=narrowed(model.box, targets)))
 
     def log_likelihood(x: FloatArray) -> FloatArray:
-        return gaussian_log_likelihood(*model.emulators.predict_truth(lift(x)), targets)
+        full = lift(x)
+        before = log_prior(targets.priors, model.box.names, full)
+        return gaussian_log_likelihood(*model.emulators.predict_truth(full), targets) + before
 
     found = evidence(log_likelihood, box, particles, seed=seed, tick=tick)
     points = lift(found.draws)
@@ -166,7 +171,8 @@ def _fit(model: Model, targets: Targets, particles: int, seed: int, tick: Callab
     elpd, elpd_se, p_loo, worst = _loo(pointwise)
     in_mm = np.array([name.partition("@")[0].endswith("_mm") for name in targets.names])
     rmse = np.sqrt(((mean - targets.mean)[:, in_mm] ** 2).mean(axis=1)) if in_mm.any() else np.full(len(mean), np.nan)
-    best = int(np.argmax(gaussian_log_likelihood(mean, variance, targets)))
+    before = log_prior(targets.priors, model.box.names, points)
+    best = int(np.argmax(gaussian_log_likelihood(mean, variance, targets) + before))
     said = []
     if words := check_coverage(model.box, model.emulators.training_inputs(), points).words():
         said.append(f"{model.name}: {words}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -14,6 +15,7 @@ from lacli.cohort import pooling
 from lacli.cohort.comparison import GLOBAL, POOLED, REGIONAL, Model, compare, pointwise_log_likelihood, reduced, tied_regions
 from lacli.cohort.evidence import evidence
 from lacli.contracts.labels import BODY_REGIONS
+from lacli.contracts.priors import Prior
 from lacli.contracts.tables.table import RunTable
 from lacli.contracts.targets import Targets
 from lacli.inference.box import Box, make_box
@@ -108,6 +110,32 @@ def test_regional_stiffness_is_found_where_there_is_contrast(model: Model) -> No
     # the best single alpha is the mean, 1.74: rms deviation .766 alpha, 1.53 mm
     assert one.rmse_mm == pytest.approx(1.53, abs=0.2)
     assert regional.elpd > one.elpd + 2 * one.elpd_se
+
+
+def test_priors_are_seen_by_every_model(model: Model) -> None:
+    """What is measured of an input beside the targets counts as the calibration has it, in closed form for normal ones."""
+    one = Model(GLOBAL, model.emulators, model.box, tied_regions(NAMES))
+    plain = _targets(np.full(5, 2.0), 0.5)
+    known = dataclasses.replace(
+        plain, priors=(Prior("alpha_roof", "normal", 2.6, 0.1), Prior("alpha_septum", "uniform", *[math.nan] * 2, 1.0, 4.0))
+    )
+    before, after = (compare([model, one], targets, particles=300) for targets in (plain, known))
+    seen = (10 - plain.mean) / GAIN
+    sd = 0.5 / GAIN
+
+    def told(at: float, width: float) -> float:
+        """log of the mean of exp(-r^2 / 2) over a normal of this mean and sd."""
+        both = width**2 + 0.1**2
+        return math.log(0.1 / math.sqrt(both)) - (at - 2.6) ** 2 / (2 * both)
+
+    # a septum that may not be below 1 has a prior of width 3 in place of 3.5, where one stiffness is all of them
+    asked = told(seen[NAMES.index("alpha_roof")], sd), told(float(seen.mean()), sd / math.sqrt(5))
+    for k, name in enumerate((REGIONAL, GLOBAL)):
+        old, new = before.fits[k], after.fits[k]
+        se = math.hypot(old.log_evidence_se, new.log_evidence_se)
+        wanted = asked[k] + math.log(3.5 / 3.0)
+        assert (new.name, new.log_evidence - old.log_evidence) == (name, pytest.approx(wanted, abs=max(4 * se, 0.1)))
+        assert se < 0.2
 
 
 def test_no_contrast_is_claimed_where_there_is_none(model: Model) -> None:
