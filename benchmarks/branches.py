@@ -3,41 +3,48 @@
     python benchmarks/branches.py [--anatomies real wall1 wall2] [--points 8] [--cell-size-mm 4] [--order 2] [--record FILE]
 
 Points: a Sobol' sequence over the calibration's box with every stiffness in the softer half of its range, where walls give way in
-places and end-diastole may be unstable. Ways: from end-diastole to end-systole at once; in four equal parts of time; in eight;
-from an end-diastole that was settled into a stable shape first. Printed by point: unstable modes at end-diastole and the spread
-(largest difference between ways) of the features at end-systole, and in the three frames that four and eight parts share.
+places and end-diastole may be unstable. Ways: the deck's own, to end-systole at once and to three frames from it backward; the
+same from an end-diastole that was settled into a stable shape first; upward from end-diastole in four parts, and in eight.
+Printed by point: unstable modes at end-diastole and the spread (largest difference between ways) of the features at end-systole,
+and in the frames that all share.
 
-Asked: the spread at end-systole told, and what frames can be trusted.
+Asked: the spread told, and what frames can be trusted.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import itertools
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import records
 from extremes import ANATOMIES, made
 from scipy.stats import qmc
 
+from lacli.contracts.case import Plan
 from lacli.contracts.features import at_time
 from lacli.contracts.labels import BODY_REGIONS
 from lacli.contracts.parameters import parameter_box
 from lacli.contracts.scene import build_scene, with_parameters
 from lacli.inference.box import CALIBRATION_INPUTS
-from lacli.mechanics.execute import run_scenes
+from lacli.mechanics import plan
 from lacli.mechanics.results import features_at_times
+from lacli.mechanics.simulation import run_scene
 
+# what a scene is asked, and whether it is solved upward
 WAYS = {
-    "at once": (),
-    "four parts": ("outputs.frames=4",),
-    "eight parts": ("outputs.frames=8",),
-    "settled": ("numerics.settle_ed=true",),
+    "own": (("outputs.frames=4",), False),
+    "settled": (("outputs.frames=4", "numerics.settle_ed=true"), False),
+    "four up": (("outputs.frames=4",), True),
+    "eight up": (("outputs.frames=8",), True),
 }
 KEYS = ("d_global_mm", *(f"{kind}_{region}_mm" for kind in "dnab" for region in BODY_REGIONS))
-SHARED = (0.25, 0.5, 0.75)  # of end-systole's time: frames of four parts and of eight
+SHARED = (0.25, 0.5, 0.75)  # of end-systole's time: the frames of all ways
 SAME_MM = 0.001
 
 
@@ -55,6 +62,28 @@ class Row:
     esv_ml: float
     es: dict[str, float]
     frames: dict[str, float]
+
+
+@contextlib.contextmanager
+def upward() -> Iterator[None]:
+    """Plans whose phases go through the states in order of time, each from the one before; for the time being."""
+    made = plan.make_plan
+
+    def forward(*given: Any) -> Plan:
+        whole = made(*given)
+        load = [phase for phase in whole.phases if phase.name == "load"]
+        states = sorted(whole.stretches(), key=lambda phase: phase.time_to)
+        ways = [
+            replace(one, start=before.file, pressure_from=before.pressure_to, time_from=before.time_to)
+            for before, one in itertools.pairwise([*load, *states])
+        ]
+        return replace(whole, phases=(*load, *ways))
+
+    plan.make_plan = forward  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        plan.make_plan = made
 
 
 def soft(count: int) -> list[dict[str, float]]:
@@ -106,7 +135,6 @@ def main() -> None:
     parser.add_argument("--points", type=int, default=8)
     parser.add_argument("--cell-size-mm", type=float, default=4.0)
     parser.add_argument("--order", type=int, default=2)
-    parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("results/branches"))
     parser.add_argument("--record", type=Path, help="file of rows, to go on with")
     choice = parser.parse_args()
@@ -116,15 +144,15 @@ def main() -> None:
         jobs = [job for job in itertools.product(range(choice.points), WAYS) if not any(_is(r, anatomy, *job) for r in rows)]
         values = soft(choice.points)
         settings = [f"numerics.order={choice.order}", "outputs.fields=none", "outputs.unloaded=false", "numerics.timeout_s=1800"]
-        scenes = []
         for number, way in jobs:
+            asked, up = WAYS[way]
             document = {"anatomy": {"bundle": str(folder.resolve())}}
-            base = build_scene(document, [*settings, *WAYS[way]], folder=folder, where="branches")
-            scenes.append(with_parameters(base, values[number]))
-        for index, result in run_scenes(scenes, choice.out / "runs", workers=choice.workers):
-            (number, way), f = jobs[index], result.features
+            base = build_scene(document, [*settings, *asked], folder=folder, where="branches")
+            with upward() if up else contextlib.nullcontext():
+                result = run_scene(with_parameters(base, values[number]), choice.out / ("up" if up else "runs"))
+            f = result.features
             frames: dict[str, float] = {}
-            if f and "parts" in way:
+            if f:
                 found, es = features_at_times(result.folder)
                 frames = {name: found[name] for key in KEYS for t in SHARED if (name := at_time(key, t * es)) in found}
             row = Row(anatomy, number, way, result.kind or "done", float(result.manifest.get("cpu_s", np.nan)),

@@ -11,10 +11,11 @@ from lacli.contracts.scene import Scene
 
 @dataclass(frozen=True)
 class Phase:
-    """A stretch of the load: pressures in kPa, times as shares of the cycle; ``file`` names the state at its end, ``by_edp`` and
-    ``by_esp`` are the derivatives of its pressure along EDP and ESP."""
+    """A stretch of the load: pressures in kPa, times as shares of the cycle; ``start`` and ``file`` name the states at its ends,
+    ``by_edp`` and ``by_esp`` are the derivatives of its last pressure along EDP and ESP."""
 
     name: str
+    start: str
     file: str
     pressure_from: float
     pressure_to: float
@@ -26,9 +27,8 @@ class Phase:
 
 @dataclass(frozen=True)
 class Plan:
-    """Which terms the deck contains, and its phases in order; ``back``: end-systole from end-diastole at once, and from there
-    backward the states between the two, the way that is gone where the first of them is not near end-diastole (empty where
-    there are none); ``rest_sweeps`` as in the scene, 0 where no spring could move."""
+    """Which terms the deck contains, and its phases in the order in which they are solved; ``rest_sweeps`` as in the scene, 0
+    where no spring could move."""
 
     title: str
     unloading: bool
@@ -42,7 +42,6 @@ class Plan:
     sensitivities: bool
     rest_sweeps: int
     phases: tuple[Phase, ...]
-    back: tuple[Phase, ...]
 
     def stretches(self) -> tuple[Phase, ...]:
         """The phases after end-diastole, each with a state at its end."""

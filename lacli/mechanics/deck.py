@@ -95,7 +95,7 @@ def render(scene: Scene, plan: Plan, plugin: Path | None, starts: tuple[str, ...
         "simulation.edp.j2",
         plugin,
         plan=plan,
-        phases=(*plan.phases, *plan.back),
+        phases=plan.phases,
         order=numerics.order,
         points=numerics.quadrature,
         tolerance=numerics.tolerance_mm,

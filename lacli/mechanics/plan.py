@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
 
 import numpy as np
 
@@ -57,7 +56,6 @@ def make_plan(scene: Scene, bundle: Bundle, motion: Motion | None) -> Plan:
     backward = scene.loads.edp_mmhg > 0 and scene.numerics.unloading == "backward"
     strained = scene.loads.edp_mmhg > 0 and not backward
     rest_sweeps = scene.numerics.rest_sweeps if strained and (veins or pericardium) else 0
-    phases = _phases(Pressure(scene.loads, motion.es_time if motion is not None else scene.motion.es_time), scene.outputs)
     title = [f"pressure {scene.loads.edp_mmhg:g} to {scene.loads.esp_mmhg:g} mmHg", LAWS[scene.materials.law].title]
     title += ["annulus moves"] if moving else ["ring held"]
     title += ["vein springs"] if veins else []
@@ -74,16 +72,17 @@ def make_plan(scene: Scene, bundle: Bundle, motion: Motion | None) -> Plan:
         dents=scene.pericardium.dents,
         sensitivities=scene.outputs.sensitivities and not backward and not rest_sweeps,
         rest_sweeps=rest_sweeps,
-        phases=phases,
-        back=_back(phases),
+        phases=_phases(Pressure(scene.loads, motion.es_time if motion is not None else scene.motion.es_time), scene.outputs),
     )
 
 
 def _phases(pressure: Pressure, outputs: Outputs) -> tuple[Phase, ...]:
+    """The load, end-systole from end-diastole at once, the states between them from end-systole backward, later ones forward.
+
+    A wall that is soft in bending gives way in places on its way up from an unstable end-diastole, one after the other, which
+    takes a hundred steps and more; the pressure of end-systole finds it stable at once, and from there each state is near.
+    """
     es, loads = pressure.es, pressure.loads
-    phases = []
-    if loads.edp_mmhg > 0:
-        phases.append(Phase("load", "ed", 0.0, loads.edp_kpa, 0.0, 0.0, 1.0, 0.0))
     count = max(1, outputs.frames)
     times = list(np.linspace(0.0, es, count + 1))
     if outputs.times:
@@ -92,34 +91,28 @@ def _phases(pressure: Pressure, outputs: Outputs) -> tuple[Phase, ...]:
         times = sorted([0.0, es, *given])
     elif outputs.conduit:
         times += list(np.linspace(es, 1.0, max(4, count) + 1)[1:])
-    for index, (start, end) in enumerate(itertools.pairwise(times)):
-        reservoir = end <= es + 1e-12
-        by_edp, by_esp = pressure.shares(float(end))
+    file = {float(t): "es" if abs(t - es) < 1e-12 else f"frame{index:03d}" for index, t in enumerate(times)} | {0.0: "ed"}
+    at_es = next(t for t, name in file.items() if name == "es")
+    before = [t for t in file if 0.0 < t < at_es]
+    after = [t for t in file if t > at_es]
+    ways = [(0.0, at_es), *itertools.pairwise([at_es, *reversed(before)]), *itertools.pairwise([at_es, *after])]
+    phases = [Phase("load", "", "ed", 0.0, loads.edp_kpa, 0.0, 0.0, 1.0, 0.0)] if loads.edp_mmhg > 0 else []
+    for start, end in ways:
+        by_edp, by_esp = pressure.shares(end)
         phases.append(
             Phase(
-                name="reservoir" if reservoir else "conduit",
-                file="es" if abs(end - es) < 1e-12 else f"frame{index + 1:03d}",
-                pressure_from=pressure.kpa(float(start)),
-                pressure_to=pressure.kpa(float(end)),
-                time_from=float(start),
-                time_to=float(end),
+                name="reservoir" if end <= at_es else "conduit",
+                start=file[start],
+                file=file[end],
+                pressure_from=pressure.kpa(start),
+                pressure_to=pressure.kpa(end),
+                time_from=start,
+                time_to=end,
                 by_edp=by_edp,
                 by_esp=by_esp,
             )
         )
     return tuple(phases)
-
-
-def _back(phases: tuple[Phase, ...]) -> tuple[Phase, ...]:
-    """``Plan.back`` of the phases."""
-    up = [phase for phase in phases if phase.name == "reservoir"]
-    if len(up) < 2:
-        return ()
-    at_once = replace(up[-1], pressure_from=up[0].pressure_from, time_from=up[0].time_from)
-    down = [
-        replace(one, pressure_from=after.pressure_to, time_from=after.time_to) for after, one in itertools.pairwise(reversed(up))
-    ]
-    return (at_once, *down)
 
 
 def _lacking(scene: Scene) -> str:

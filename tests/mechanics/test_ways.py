@@ -1,7 +1,9 @@
-"""The way from end-diastole to the states: forward where they are near each other, else from end-systole backward."""
+"""The way to the states: end-systole from end-diastole at once, earlier frames from it backward, later ones forward."""
 
 from __future__ import annotations
 
+import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -10,13 +12,13 @@ from shapes import cut_ball
 
 from lacli.anatomy.wall.shell import mesh_shell
 from lacli.contracts import bundle as bundles
+from lacli.contracts.case import Plan
 from lacli.contracts.scene import Scene, build_scene
+from lacli.contracts.sections import MMHG_KPA
 from lacli.freefem.program import FreeFem
-from lacli.mechanics import deck, plan
+from lacli.mechanics import plan
 from lacli.mechanics.results import TRANSIENTS
 from lacli.mechanics.simulation import RunResult, run_scene
-
-NEAR = '  if (nearby(1, "reservoir", soughtPositions, taskSymmetric, tightTolerance)) found = 1;\n'
 
 
 @pytest.fixture(scope="module")
@@ -43,42 +45,49 @@ def scene(folder: Path, *overrides: str) -> Scene:
     return build_scene({"anatomy": {"bundle": "bundle"}}, [*base, *overrides], folder=folder, where="test")
 
 
-def test_the_way_back_has_the_same_states(folder: Path) -> None:
-    whole = plan.prepare(scene(folder, "outputs.frames=4")).plan
-    up = {phase.file: phase for phase in whole.phases if phase.name == "reservoir"}
-    assert [phase.file for phase in whole.back] == ["es", "frame003", "frame002", "frame001"]
-    for phase in whole.back:
-        forward = up[phase.file]
-        assert (phase.pressure_to, phase.time_to, phase.by_edp) == (forward.pressure_to, forward.time_to, forward.by_edp)
+def test_end_systole_comes_first_and_earlier_frames_from_it_backward(folder: Path) -> None:
+    phases = plan.prepare(scene(folder, "outputs.frames=4")).plan.stretches()
+    reservoir = [phase for phase in phases if phase.name == "reservoir"]
+    assert [phase.file for phase in reservoir] == ["es", "frame003", "frame002", "frame001"]
+    assert [phase.start for phase in reservoir] == ["ed", "es", "frame003", "frame002"]
     # 3 to 8 mmHg in four parts; from 3 at once, then each from the one after it
-    at = [round(phase.pressure_from / whole.phases[0].pressure_to * 3, 6) for phase in whole.back]
-    assert at == [3.0, 8.0, 6.75, 5.5]
-    assert [round(phase.time_from, 6) for phase in whole.back] == [0.0, 0.4, 0.3, 0.2]
-
-
-def test_one_state_needs_no_way_back(folder: Path) -> None:
-    alone = plan.prepare(scene(folder, "outputs.frames=0", "outputs.conduit=false"))
-    assert alone.plan.back == ()
-    assert "nearby" not in deck.render(alone.scene, alone.plan, None)
+    at = [(round(phase.pressure_from / MMHG_KPA, 6), round(phase.pressure_to / MMHG_KPA, 6)) for phase in reservoir]
+    assert at == [(3.0, 8.0), (8.0, 6.75), (6.75, 5.5), (5.5, 4.25)]
+    assert [round(phase.time_from, 6) for phase in reservoir] == [0.0, 0.4, 0.3, 0.2]
+    conduit = [phase for phase in phases if phase.name == "conduit"]
+    assert [conduit[0].start, conduit[0].time_from] == ["es", 0.4]
+    assert [phase.file for phase in conduit] == ["frame005", "frame006", "frame007", "frame008"]
 
 
 @pytest.mark.parametrize("engine", ["plugin", "script"])
-def test_both_ways_find_the_same(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, engine: str, freefem: FreeFem
-) -> None:
-    given = scene(folder, "outputs.frames=3", f"numerics.engine={engine}")
-    forward = run_scene(given, tmp_path / "forward")
-    render = deck.render
+def test_frames_that_are_asked_for_do_not_change_end_systole(folder: Path, tmp_path: Path, engine: str, freefem: FreeFem) -> None:
+    alone, framed = (
+        run_scene(scene(folder, f"outputs.frames={frames}", f"numerics.engine={engine}"), tmp_path) for frames in (0, 3)
+    )
+    assert (alone.status, framed.status) == ("done", "done")
+    for key in ("esv_ml", "d_global_mm"):
+        assert framed.features[key] == alone.features[key]  # the very same systems, to the last digit
 
-    def without(*words: object) -> str:
-        text = render(*words)  # type: ignore[arg-type]
-        assert NEAR in text
-        return text.replace(NEAR, "")
 
-    monkeypatch.setattr(deck, "render", without)
+def test_every_way_finds_what_is_unique(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, freefem: FreeFem) -> None:
+    given = scene(folder, "outputs.frames=3")
     backward = run_scene(given, tmp_path / "backward")
-    assert (forward.status, backward.status) == ("done", "done")
-    pd.testing.assert_frame_equal(transients(forward), transients(backward), rtol=1e-9, atol=1e-8)
+    made = plan.make_plan
+
+    def forward(*words: object) -> Plan:
+        whole = made(*words)  # type: ignore[arg-type]
+        load, *rest = whole.phases
+        rest = sorted(rest, key=lambda phase: phase.time_to)
+        ways = [
+            replace(phase, start=before.file, pressure_from=before.pressure_to, time_from=before.time_to)
+            for before, phase in itertools.pairwise([load, *rest])
+        ]
+        return replace(whole, phases=(load, *ways))
+
+    monkeypatch.setattr(plan, "make_plan", forward)
+    other = run_scene(given, tmp_path / "forward")
+    assert (backward.status, other.status) == ("done", "done")
+    pd.testing.assert_frame_equal(transients(other), transients(backward), rtol=1e-8, atol=1e-7)
     assert transients(backward)["time"].is_monotonic_increasing
 
 

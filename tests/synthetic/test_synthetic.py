@@ -61,12 +61,12 @@ def test_the_mesh_encloses_the_volume_asked(made: tuple[Bundle, Motion]) -> None
 
 def test_regions_do_not_follow_the_cells(made: tuple[Bundle, Motion]) -> None:
     bundle, _ = made
-    coarse = describe(mesh_shell(cavity(sized(4, VOLUME)), 2.0, 8.0)).bundle
-    (share, centre), (other, elsewhere) = fine_places(bundle), fine_places(coarse)
-    # cells of 8 mm against 4 mm, by the lines on the surface: .003 and 0.5 mm; coordinates on the cells' own nodes gave .010 and
-    # 1.1 - 1.7 mm
-    assert other == pytest.approx(share, abs=0.005)
-    assert np.linalg.norm(elsewhere - centre, axis=1).max() < 0.7
+    share, centre = fine_places(bundle)
+    coarse = [fine_places(describe(mesh_shell(cavity(sized(4, VOLUME)), 2.0, size)).bundle) for size in (7.6, 8.0, 8.4)]
+    # cells of about 8 mm against 4 mm, by the lines on the surface; one mesh, and so one processor's rounding, says little: over
+    # the three .007 and 0.8 mm (each .005 - .010, 0.5 - 1.1 mm); coordinates on the cells' own nodes gave .010, 1.1 - 1.7 mm
+    assert np.mean([np.abs(other - share) for other, _ in coarse], axis=0).max() < 0.009
+    assert np.mean([np.linalg.norm(elsewhere - centre, axis=1).max() for _, elsewhere in coarse]) < 1.0
     # whole cells are on one side of a line or the other: 4 mm of them are .2 % of the surface each
     assert places(bundle)[0] == pytest.approx(share, abs=0.005)
 
