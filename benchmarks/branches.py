@@ -50,14 +50,15 @@ SAME_MM = 0.001
 
 @dataclass(frozen=True)
 class Row:
-    """A run: anatomy, point, way; how it ended; cost; unstable modes at end-diastole; ESV (mL); features (mm) at end-systole, and
-    in the frames by ``key@time``."""
+    """A run: anatomy, point, way; how it ended; cost, systems; unstable modes at end-diastole; ESV (mL); features (mm) at
+    end-systole, and in the frames by ``key@time``."""
 
     anatomy: str
     number: int
     way: str
     end: str
     cpu_s: float
+    systems: int
     modes: int
     esv_ml: float
     es: dict[str, float]
@@ -124,8 +125,10 @@ def summary(rows: list[Row]) -> None:
         if len(known):
             differ = int((known > SAME_MM).sum())
             print(f"{what}: the way decides at {differ} of {len(known)} points, by {known.max():.3f} mm at most")
-    cost = {way: sum(r.cpu_s for r in rows if r.way == way) for way in WAYS}
-    print("CPU s: " + ", ".join(f"{way} {value:.0f}" for way, value in cost.items()))
+    for anatomy in dict.fromkeys(r.anatomy for r in rows):
+        of = {way: [r for r in rows if (r.anatomy, r.way) == (anatomy, way)] for way in WAYS}
+        words = [f"{way} {sum(r.systems for r in m)} ({sum(r.cpu_s for r in m):.0f})" for way, m in of.items()]
+        print(f"{anatomy}: systems (CPU s): " + ", ".join(words))
 
 
 def main() -> None:
@@ -156,6 +159,7 @@ def main() -> None:
                 found, es = features_at_times(result.folder)
                 frames = {name: found[name] for key in KEYS for t in SHARED if (name := at_time(key, t * es)) in found}
             row = Row(anatomy, number, way, result.kind or "done", float(result.manifest.get("cpu_s", np.nan)),
+                      int(f.get("factorisations", f.get("newton_iterations", 0))),
                       int(f.get("ed_unstable_modes", 0)), float(f.get("esv_ml", np.nan)),
                       {key: float(f[key]) for key in KEYS if key in f}, frames)  # fmt: skip
             rows.append(row)

@@ -79,8 +79,8 @@ def make_plan(scene: Scene, bundle: Bundle, motion: Motion | None) -> Plan:
 def _phases(pressure: Pressure, outputs: Outputs) -> tuple[Phase, ...]:
     """The load, end-systole from end-diastole at once, the states between them from end-systole backward, later ones forward.
 
-    A wall that is soft in bending gives way in places on its way up from an unstable end-diastole, one after the other, which
-    takes a hundred steps and more; the pressure of end-systole finds it stable at once, and from there each state is near.
+    So end-systole is the same whatever frames are asked for, and they are of its branch: a wall that is soft in bending gives way
+    in places on its way up, one after the other, and may end elsewhere.
     """
     es, loads = pressure.es, pressure.loads
     count = max(1, outputs.frames)

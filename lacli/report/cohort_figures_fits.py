@@ -47,11 +47,16 @@ def transients_figure(frame: pd.DataFrame, files: Sequence[Path]) -> None:
             _shade(axis, phases, key == _PANELS[0])
             axis.set_ylabel(label(key), fontsize=8)
             axis.set_xlim(0.0, 1.0)
-        for axis in axes[1]:
-            axis.set_xlabel("time (RR)", fontsize=8)
-        handles, names = axes[0, 0].get_legend_handles_labels()
-        figure.legend(handles, names, loc="outside lower center", ncols=3, fontsize=8)
+        _finish(figure, axes, 3)
         save_all(figure, files)
+
+
+def _finish(figure: Any, axes: Any, columns: int) -> None:
+    """Time below, and one legend for all panels."""
+    for axis in axes[1]:
+        axis.set_xlabel("time (RR)", fontsize=8)
+    handles, names = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=columns, fontsize=8)
 
 
 def _course(axis: Any, mine: pd.DataFrame, column: str, colour: str, name: str, reach: FloatArray) -> None:
@@ -106,10 +111,7 @@ def cohort_transients_figure(frame: pd.DataFrame, files: Sequence[Path]) -> None
                 axis.plot(grid[told], mean, color=colour, linewidth=1.5, label=f"{name}, mean ± sd")
             axis.set_ylabel(label(key), fontsize=8)
             axis.set_xlim(0.0, 1.0)
-        for axis in axes[1]:
-            axis.set_xlabel("time (RR)", fontsize=8)
-        handles, names = axes[0, 0].get_legend_handles_labels()
-        figure.legend(handles, names, loc="outside lower center", ncols=2, fontsize=8)
+        _finish(figure, axes, 2)
         save_all(figure, files)
 
 

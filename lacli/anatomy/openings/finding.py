@@ -174,19 +174,23 @@ def at_ostia(seen: Sequence[Candidate], skeleton: Skeleton, cast: ostium.RadiusA
     Where a rim is no farther than KEPT_STUB_MM from the ostium, or the section there is no vessel's, it stays what it is; so does
     the one that is wide as a valve's, however narrow the atrium becomes towards it.
     """
-    stays = [c for c in seen if c.said == "mv"] or _wide_as_a_valve(seen)
+    stays = [c for c in seen if c.said == "mv"]
+    if not stays and (rim := _valve_rim([c for c in seen if c.source in (RIM, CAP)])) is not None:
+        stays = [rim]
     return [
         _at_ostium(c, skeleton, cast, ring_mm) if c.source == RIM and c.cap and not any(c is s for s in stays) else c
         for c in seen
     ]
 
 
-def _wide_as_a_valve(seen: Sequence[Candidate]) -> list[Candidate]:
-    """The rim or cap that is wider than all others by a fifth: the mitral valve's, wherever valve and veins are open."""
-    wide = sorted((c for c in seen if c.source in (RIM, CAP)), key=lambda c: -c.diameter_mm)
-    if not wide or wide[0].diameter_mm < LEAST_VALVE_MM or (len(wide) > 1 and wide[0].diameter_mm < WIDER * wide[1].diameter_mm):
-        return []
-    return wide[:1]
+def _valve_rim(among: Sequence[Candidate]) -> Candidate | None:
+    """The rim or cap that is wide as a valve's, and by a fifth wider than the second widest of all: the mitral valve's, wherever
+    valve and veins are open."""
+    widest = max((c for c in among if c.source in (RIM, CAP)), key=lambda c: c.diameter_mm, default=None)
+    second = max(sorted((c.diameter_mm for c in among), reverse=True)[1:], default=0.0)
+    if widest is None or widest.diameter_mm < WIDER * second or widest.diameter_mm < LEAST_VALVE_MM:
+        return None
+    return widest
 
 
 def _at_ostium(rim: Candidate, skeleton: Skeleton, cast: ostium.RadiusAt, ring_mm: float) -> Candidate:
@@ -225,11 +229,8 @@ def gather(
         everything, branch_of = _replaced(everything, branch_of, opening, name)
         if name in OPENINGS and not any(c.said == name for c in everything):
             everything.append(replace(_of_opening(opening), source=GIVEN, said=name))
-    if not any(c.said == "mv" or c.source == CONTACT for c in everything):
-        widest = max((c.diameter_mm for c in everything if c.source in (RIM, CAP)), default=0.0)
-        veins = sorted((c.diameter_mm for c in everything), reverse=True)[1:]
-        if widest < WIDER * max(veins, default=0.0) or widest < LEAST_VALVE_MM:
-            everything.append(replace(_of_opening(mitral_from_shape(surface, skeleton, everything)), source=GUESS))
+    if not any(c.said == "mv" or c.source == CONTACT for c in everything) and _valve_rim(everything) is None:
+        everything.append(replace(_of_opening(mitral_from_shape(surface, skeleton, everything)), source=GUESS))
     return everything, branch_of
 
 

@@ -27,7 +27,7 @@ from lacli.calibration.sequential.draw.draws import LEAST_EFFECTIVE, draw
 from lacli.calibration.sequential.draw.information import Forecast, forecast
 from lacli.calibration.sequential.emulator import Components, Part
 from lacli.calibration.sequential.evidence import Evidence
-from lacli.calibration.sequential.fidelity.bridge import bridge
+from lacli.calibration.sequential.fidelity.bridge import PAIR, bridge
 from lacli.calibration.sequential.fidelity.corrected import emulate
 from lacli.calibration.sequential.laplace import Laplace
 from lacli.calibration.sequential.result import Sequential, document, result_of
@@ -42,7 +42,7 @@ FILE, RESULT = "calibration.json", "result.json"
 _MODE = 25.0  # excess of chi^2 up to which a second minimum has a share in the posterior
 _LOCAL = 12.0  # Mahalanobis distance up to which a run takes part in the local emulator
 _DESCENT_ROUNDS = 24
-_OF_REFERENCE, _LEAST_OF_REFERENCE = 2, 3  # of its runs at a time; so many before it is believed what it corrects
+_LEAST_OF_REFERENCE = 3  # of its runs, before it is believed what they correct
 _BUDGETS = ("max_runs", "reference_runs", "share", "correction_share", "mcmc")
 PARTS: tuple[Part, Part] = ("emulator", "correction")
 _AT_ONCE = 3  # runs of the check of the box between two looks
@@ -260,7 +260,7 @@ def _refine(
         before = len(search.x) + len(search.dear)
         count = min(settings.first_runs if round_ == 1 else settings.batch, search.left - reserve)
         # each part of the error by the runs that lessen it
-        dear = min(0 if enough else _OF_REFERENCE, search.dear_left - 1)
+        dear = min(0 if enough else PAIR, search.dear_left - 1)
         if round_ > 1 and of_runs.max() < settings.share and effective > LEAST_EFFECTIVE:
             count = 0
         if max(count, dear) <= 0:

@@ -15,7 +15,7 @@ from lacli.calibration.sequential.search import Search
 
 STAGE = "correction"
 _TRIES, _STEPS = 4, 4
-_PAIR = 2  # runs a step, which two workers make in the time of one
+PAIR = 2  # runs of the reference at a time, which two workers make in the time of one
 
 
 def bridge(search: Search, evidence: Evidence) -> Evidence:
@@ -44,7 +44,7 @@ def bridge(search: Search, evidence: Evidence) -> Evidence:
         if evidence.misfit[best] - misfit < descent.SETTLED or search.dear_left <= 2:
             break
         # beside it a draw of the posterior around, which tells the correction's slope
-        evidence = search.refer(np.vstack([z, _around(evidence, z, _PAIR - 1, rng)]), STAGE)
+        evidence = search.refer(np.vstack([z, _around(evidence, z, PAIR - 1, rng)]), STAGE)
     return evidence
 
 
