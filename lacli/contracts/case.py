@@ -28,7 +28,7 @@ class Phase:
 @dataclass(frozen=True)
 class Plan:
     """Which terms the deck contains, and its phases in the order in which they are solved; ``rest_sweeps`` as in the scene, 0
-    where no spring could move."""
+    where no spring could move; ``second``: phases of another way from end-diastole to end-systole, where it is asked for."""
 
     title: str
     unloading: bool
@@ -42,6 +42,7 @@ class Plan:
     sensitivities: bool
     rest_sweeps: int
     phases: tuple[Phase, ...]
+    second: tuple[Phase, ...] = ()
 
     def stretches(self) -> tuple[Phase, ...]:
         """The phases after end-diastole, each with a state at its end."""

@@ -230,7 +230,8 @@ class Numerics(Section):
 
 class Outputs(Section):
     """What is written beside the features at end-systole. ``unloaded``: also the wall without pressure, and its volume.
-    ``sensitivities``: also the features' derivatives by the study's inputs, at end-systole and in every frame."""
+    ``sensitivities``: also the features' derivatives by the study's inputs, at end-systole and in every frame. ``equilibria``:
+    end-systole is sought along a second way too; of two the one with less energy is the result, and what differs is told."""
 
     place = "outputs"
     frames: int = _default("outputs.frames")
@@ -248,6 +249,9 @@ class Outputs(Section):
     unloaded: bool = Field(default=True, description="whether the wall without pressure is sought too, and its volume")
     sensitivities: bool = Field(
         default=False, description="whether the derivatives of the features by the inputs of the study are written too"
+    )
+    equilibria: bool = Field(
+        default=False, description="whether end-systole is sought along a second way too, and told what differs between both"
     )
 
     @field_validator("times")

@@ -20,6 +20,10 @@ from lacli.contracts.sections import Outputs
 from lacli.mechanics.pressure import Pressure
 from lacli.motion.annulus import asked_motion
 
+_PARTS = (
+    4  # of the second way to end-systole: that many find what two, three, eight or a way back do not (benchmarks/branches.py)
+)
+
 
 def prepare(scene: Scene) -> Case:
     """The scene with its bundle, motion and plan, read and checked. Raises AnatomyError, InputError."""
@@ -60,6 +64,7 @@ def make_plan(scene: Scene, bundle: Bundle, motion: Motion | None) -> Plan:
     title += ["annulus moves"] if moving else ["ring held"]
     title += ["vein springs"] if veins else []
     title += ["pericardium"] if pericardium else []
+    pressure = Pressure(scene.loads, motion.es_time if motion is not None else scene.motion.es_time)
     return Plan(
         title=", ".join(title),
         unloading=scene.loads.edp_mmhg > 0,
@@ -72,7 +77,8 @@ def make_plan(scene: Scene, bundle: Bundle, motion: Motion | None) -> Plan:
         dents=scene.pericardium.dents,
         sensitivities=scene.outputs.sensitivities and not backward and not rest_sweeps,
         rest_sweeps=rest_sweeps,
-        phases=_phases(Pressure(scene.loads, motion.es_time if motion is not None else scene.motion.es_time), scene.outputs),
+        phases=_phases(pressure, scene.outputs),
+        second=_second(pressure) if scene.outputs.equilibria else (),
     )
 
 
@@ -113,6 +119,15 @@ def _phases(pressure: Pressure, outputs: Outputs) -> tuple[Phase, ...]:
             )
         )
     return tuple(phases)
+
+
+def _second(pressure: Pressure) -> tuple[Phase, ...]:
+    """From end-diastole up to end-systole in equal parts, each from an equilibrium of its own.
+
+    Where a wall gives way in places, one after the other, parts of the load find another order than all of it at once.
+    """
+    way = itertools.pairwise(np.linspace(0.0, pressure.es, _PARTS + 1).tolist())
+    return tuple(Phase("second", "", "", pressure.kpa(a), pressure.kpa(b), a, b, *pressure.shares(b)) for a, b in way)
 
 
 def _lacking(scene: Scene) -> str:
@@ -164,6 +179,7 @@ def describe(scene: Scene, bundle: Bundle) -> list[tuple[str, bool, str]]:
             any(phase.name == "conduit" for phase in plan.phases),
             "outputs.times" if scene.outputs.times else "outputs.conduit",
         ),
+        ("second way to end-systole", bool(plan.second), "outputs.equilibria"),
         (
             "sensitivities",
             plan.sensitivities,

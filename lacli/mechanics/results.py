@@ -43,10 +43,12 @@ TRANSIENTS = "transients.csv"
 @dataclass(frozen=True)
 class Results:
     """states by name in order of time (``ed``, the frames, ``es``, and ``unloaded`` where it was found); counts and errors of
-    the deck's history by name, under the first word of their line."""
+    the deck's history by name, under the first word of their line; other: positions (n, 3) mm of the end-systole that was
+    found too and is not the result."""
 
     states: dict[str, State]
     numbers: dict[str, dict[str, float]]
+    other: FloatArray | None = None
 
 
 def read(case: Case, folder: Path) -> Results:
@@ -75,7 +77,9 @@ def _read(case: Case, folder: Path) -> Results:
     lacking += [name for name in needed if name not in numbers]
     if lacking:
         raise ValueError(f"{HISTORY} lacks {', '.join(lacking)}")
-    return Results(states, numbers)
+    found = numbers.get("equilibria", {}).get("found")
+    other = read_state(folder / "other.txt", len(case.bundle.points))[0] if found == 2 else None
+    return Results(states, numbers, other)
 
 
 def stand(folder: Path) -> bool:

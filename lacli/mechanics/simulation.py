@@ -19,6 +19,7 @@ from lacli.freefem.run import Outcome
 from lacli.mechanics import deck, results, sensitivities
 from lacli.mechanics import warm as starts
 from lacli.mechanics.deck import Deck, OnProgress
+from lacli.mechanics.numerics import equilibria
 from lacli.mechanics.numerics.stated import with_errors
 from lacli.mechanics.plan import prepare
 from lacli.mechanics.store import OpenRun, StoredRun, check_products, open_run
@@ -105,6 +106,8 @@ def _keep(run: OpenRun, case: Case, written: Deck, outcome: Outcome, start: star
     features, products = collect(case, run.folder, cpu_s=outcome.cpu_s, peak_memory_mb=outcome.peak_memory_mb)
     if "sensitivities" in features:
         usage["sensitivities"] = features["sensitivities"]
+    if equilibria.FOUND in features:
+        usage["equilibria"] = features[equilibria.FOUND]
     if start is not None:
         found = results.read(case, run.folder)
         usage["start"] = starts.statement(start, found)
@@ -120,7 +123,7 @@ def collect(case: Case, folder: Path, **cost: float) -> tuple[dict[str, Any], li
     Raises SimulationError where FreeFEM's results cannot be read.
     """
     found = results.read(case, folder)
-    features = results.features(case, found) | cost
+    features = results.features(case, found) | equilibria.told(case, found) | cost
     products = [*_PRODUCTS, *sensitivities.write(case, found, folder)]
     if said := sensitivities.statement(case, found):
         features["sensitivities"] = said

@@ -123,11 +123,12 @@ def write(start: Start, folder: Path) -> None:
 def keep(case: Case, results: Results, folder: Path, root: Path) -> bool:
     """Keep the states that a deck has left in ``folder`` for other runs below ``root``; whether there were any to be kept.
 
-    Those of a run with unstable modes are not. Raises StorageError.
+    Those of a run with unstable modes, or of several equilibria, are not. Raises StorageError.
     """
     numbers = results.numbers
     stable = all(numbers.get(name, {}).get("unstable") == 0 for name in ("ed_modes", "es_modes"))
-    if not stable or case.scene.numerics.settle_ed or not (folder / "prestrain.state").is_file():
+    several = numbers.get("equilibria", {}).get("found", 1) != 1
+    if not stable or several or case.scene.numerics.settle_ed or not (folder / "prestrain.state").is_file():
         return False
     units = np.array(list(INPUTS.values()))[:, None]
     content: dict[str, Any] = {"inputs": inputs(case.scene)}

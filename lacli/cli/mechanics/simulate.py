@@ -15,6 +15,7 @@ from lacli.cli.terminal.console import err, fail, out, print_json, print_table
 from lacli.cli.terminal.scenes import read_scene
 from lacli.contracts.identity import Identity, file_digest, identify, run_key
 from lacli.contracts.scene import Scene
+from lacli.mechanics.numerics.equilibria import SPREAD, said_of
 from lacli.mechanics.store import find_run
 
 _UNITS = {"_ml": "mL", "_mm": "mm", "_s": "s", "_mb": "MB", "_mmhg": "mmHg", "_kpa": "kPa"}
@@ -28,6 +29,12 @@ def command(
     overrides: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a key of the scene; may be repeated.")
     ] = None,
+    equilibria: Annotated[
+        bool,
+        typer.Option(
+            "--equilibria", help="Seek end-systole along a second way too, and tell what differs; as outputs.equilibria."
+        ),
+    ] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be modelled, what not, why, and the cost.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
     figures: Annotated[bool, typer.Option(help="Draw transients and shapes into the run's folder.")] = True,
@@ -56,7 +63,7 @@ def command(
         _read(read, as_json)
         return
     assert scene_file is not None
-    scene = read_scene(scene_file, overrides)
+    scene = read_scene(scene_file, [*(overrides or []), *(["outputs.equilibria=true"] if equilibria else [])])
     if write is not None:
         _write(scene, write, as_json)
         return
@@ -182,12 +189,17 @@ def _show_result(result: Any, repeated: bool, pictures: list[Path]) -> None:
 
 def _show_features(title: str, features: dict[str, Any]) -> None:
     errors, sources = _errors(features), features.get("discretisation_error_source", {})
+    spread = features.get(SPREAD)
     rows = []
     for name, value in features.items():
         if _shown(name, value):
             label, unit = _label(name)
-            rows.append([label, value, unit, f"{errors[name]:.2g} ({sources[name]})" if name in errors else ""])
-    print_table(title, ["quantity", "value", "unit", "discretisation error, sd"], rows)
+            row = [label, value, unit, f"{errors[name]:.2g} ({sources[name]})" if name in errors else ""]
+            rows.append(row if spread is None else [*row, f"{spread[name]:.2g}" if name in spread else ""])
+    columns = ["quantity", "value", "unit", "discretisation error, sd"]
+    print_table(title, columns if spread is None else [*columns, "between equilibria"], rows)
+    if words := said_of(features):
+        err.print(words, highlight=False)
 
 
 def _shown(name: str, value: Any) -> bool:

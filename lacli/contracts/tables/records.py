@@ -48,6 +48,14 @@ RUN: tuple[Field, ...] = (
     ),
     Field("sensitivities", "", "whether `sensitivities.csv` is there, by state; with `outputs.sensitivities`", always=False),
     Field(
+        "equilibria",
+        "",
+        "states `found` along two ways to end-systole (0: the second ends nowhere), the way whose state is `kept`, "
+        "`energy_above_uj` of the other (uJ), `farthest_mm` between nodes of both; with `outputs.equilibria`",
+        always=False,
+    ),
+    Field("equilibria_spread", "as the feature", "difference of both by feature, 0 where they are one", always=False),
+    Field(
         "discretisation_error", "as the feature", "errors by feature (one standard deviation); in `--json` alone", always=False
     ),
     Field("discretisation_error_source", "", "of each: `measured` by `lacli tradeoff`, or by the `model`", always=False),
@@ -66,6 +74,7 @@ MANIFEST: tuple[Field, ...] = (
     Field("engine", "", "what evaluated the laws: compiled kernels or FreeFEM's own language"),
     Field("newton_iterations", "", "solutions of a linear system; of a run that is done", always=False),
     Field("sensitivities", "", "as in `features.json`", always=False),
+    Field("equilibria", "", "as in `features.json`", always=False),
     Field(
         "start",
         "",

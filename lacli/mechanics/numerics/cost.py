@@ -41,6 +41,9 @@ _UNHELD = 0.7  # of them, without pericardium
 # states before end-systole, by order: systems as (1 + states)^(a - b ln soft), no fewer: a stiff wall is soon at the next state,
 # a soft one gives way between them
 _EARLY = {1: (0.37, 0.53), 2: (0.72, 0.62)}
+_SECOND = (
+    1.2  # of the systems to end-systole, for a second way there: the middle of 19 soft walls (benchmarks/branches.py), .7 to 2.7
+)
 _CONDUIT = 1.5  # systems for each stretch of the conduit
 _UNLOADED, _FRAME = 1.3, 0.05  # factors of the whole; sensitivities of each further frame
 _REST = 0.4  # of the whole, for each sweep of springs at rest where the wall relaxes
@@ -118,10 +121,11 @@ def systems(scene: Scene) -> float:
     if scene.pericardium.k_peri_kpa_per_um == 0:
         count *= _UNHELD
     outputs = scene.outputs
+    second = _SECOND * count * outputs.equilibria
     by_states, by_states_soft = _EARLY[scene.numerics.order]
     count *= (1 + early_states(scene)) ** max(0.0, by_states - by_states_soft * log(soft))
     late = sum(t > scene.motion.es_time for t in outputs.times) if outputs.times else max(4, outputs.frames) * outputs.conduit
-    return count + _CONDUIT * late
+    return count + second + _CONDUIT * late
 
 
 def price(scene: Scene, count: int, solved: float) -> float:

@@ -15,6 +15,7 @@ from lacli.contracts import bundle as bundles
 from lacli.contracts.features import KEYS, PUBLISHED
 from lacli.contracts.labels import BODY_REGIONS
 from lacli.contracts.scene import Scene, load_scene
+from lacli.mechanics.numerics.equilibria import SPREAD, said_of
 from lacli.mechanics.numerics.stated import with_errors
 from lacli.report.page import methods
 from lacli.report.page.document import Figure, Page, Section, Table, number, picture
@@ -141,12 +142,20 @@ def kept_pictures(folder: Path, named: Mapping[str, str]) -> tuple[Figure, ...]:
 def _features(run: Run) -> Table:
     errors = run.features.get("discretisation_error") or {}
     sources = run.features.get("discretisation_error_source") or {}
+    spread = run.features.get(SPREAD)
+    columns = ("feature", "value", "discretisation error, sd", *(() if spread is None else ("between equilibria",)), "unit")
     rows = [
-        (KEYS[key].definition, number(run.features.get(key)), _stated(errors.get(key), sources.get(key, "")), KEYS[key].unit)
+        (
+            KEYS[key].definition,
+            number(run.features.get(key)),
+            _stated(errors.get(key), sources.get(key, "")),
+            *(() if spread is None else (number(spread.get(key)),)),
+            KEYS[key].unit,
+        )
         for key in ("edv_ml", *PUBLISHED)
         if key in run.features
     ]
-    return Table("Features", ("feature", "value", "discretisation error, sd", "unit"), tuple(rows))
+    return Table("Features", columns, tuple(rows))
 
 
 def _stated(error: float | None, source: str) -> str:
@@ -172,4 +181,6 @@ def _doubts(run: Run) -> tuple[str, ...]:
         modes = run.features.get(key)
         if isinstance(modes, (int, float)) and math.isfinite(modes) and modes > 0:
             said.append(f"The equilibrium at {name} is not stable: {modes:g} ways out of it.")
+    if words := said_of(run.features):
+        said.append(words)
     return tuple(said)
