@@ -4,9 +4,10 @@
 
 Points: a Sobol' sequence over the calibration's box with every stiffness in the softer half of its range, where walls give way in
 places and end-diastole may be unstable. Ways: the deck's own, to end-systole at once and to three frames from it backward; the
-same from an end-diastole that was settled into a stable shape first; upward from end-diastole in four parts, and in eight.
-Printed by point: unstable modes at end-diastole and the spread (largest difference between ways) of the features at end-systole,
-and in the frames that all share.
+same from an end-diastole that was settled into a stable shape first; upward from end-diastole in four parts, and in eight. Beside
+them the deck's own with ``outputs.equilibria``, which looks for a second end-systole itself.
+Printed by point: unstable modes at end-diastole, the spread (largest difference between ways) of the features at end-systole,
+what the run told of it, and the spread in the frames that all share.
 
 Asked: the spread told, and what frames can be trusted.
 """
@@ -42,7 +43,9 @@ WAYS = {
     "settled": (("outputs.frames=4", "numerics.settle_ed=true"), False),
     "four up": (("outputs.frames=4",), True),
     "eight up": (("outputs.frames=8",), True),
+    "told": (("outputs.frames=4", "outputs.equilibria=true"), False),
 }
+TOLD = "told"  # what the other ways are held against
 KEYS = ("d_global_mm", *(f"{kind}_{region}_mm" for kind in "dnab" for region in BODY_REGIONS))
 SHARED = (0.25, 0.5, 0.75)  # of end-systole's time: the frames of all ways
 SAME_MM = 0.001
@@ -51,7 +54,8 @@ SAME_MM = 0.001
 @dataclass(frozen=True)
 class Row:
     """A run: anatomy, point, way; how it ended; cost, systems; unstable modes at end-diastole; ESV (mL); features (mm) at
-    end-systole, and in the frames by ``key@time``."""
+    end-systole, and in the frames by ``key@time``; of a run that sought two equilibria how many it found, and how far apart (mm,
+    mL)."""
 
     anatomy: str
     number: int
@@ -63,6 +67,9 @@ class Row:
     esv_ml: float
     es: dict[str, float]
     frames: dict[str, float]
+    found: int = -1
+    told_mm: float = float("nan")
+    told_ml: float = float("nan")
 
 
 @contextlib.contextmanager
@@ -108,16 +115,22 @@ def spread(rows: list[dict[str, float]]) -> tuple[float, str]:
 
 def summary(rows: list[Row]) -> None:
     """By point, then over all."""
-    print(f"{'anatomy':8s}{'point':>6s}{'ED modes':>9s}{'ES spread mm':>13s}{'ESV mL':>8s}{'frames mm':>10s}  widest")
-    of_es, of_frames = [], []
+    heads = (("ES spread mm", 13), ("ESV mL", 8), ("told mm", 9), ("mL", 8), ("frames mm", 10))
+    print(f"{'anatomy':8s}{'point':>6s}{'ED modes':>9s}" + "".join(f"{word:>{width}s}" for word, width in heads) + "  widest")
+    of_es, of_frames, told = [], [], []
     for (anatomy, number), group in itertools.groupby(rows, key=lambda r: (r.anatomy, r.number)):
         mine = list(group)
-        done = [r for r in mine if r.end == "done"]
+        done = [r for r in mine if r.end == "done" and r.way != TOLD]
         es, _ = spread([r.es for r in done])
         frames, name = spread([r.frames for r in done if r.frames])
         volume = float(np.ptp([r.esv_ml for r in done])) if len(done) > 1 else float("nan")
         failed = ", ".join(f"{r.way}: {r.end}" for r in mine if r.end != "done")
-        print(f"{anatomy:8s}{number:6d}{max(r.modes for r in mine):9d}{es:13.4f}{volume:8.4f}{frames:10.4f}  {name} {failed}")
+        asked = next((r for r in mine if r.way == TOLD and r.end == "done"), None)
+        mm, ml = (asked.told_mm, asked.told_ml) if asked else (float("nan"), float("nan"))
+        print(f"{anatomy:8s}{number:6d}{max(r.modes for r in mine):9d}{es:13.4f}{volume:8.4f}{mm:9.4f}{ml:8.4f}{frames:10.4f}  "
+              f"{name} {failed}")  # fmt: skip
+        if asked and np.isfinite(es):
+            told.append((es > SAME_MM, asked.found == 2, asked.found == 0))
         of_es.append(es)
         of_frames.append(frames)
     for what, found in (("end-systole", np.array(of_es)), ("frames", np.array(of_frames))):
@@ -125,6 +138,13 @@ def summary(rows: list[Row]) -> None:
         if len(known):
             differ = int((known > SAME_MM).sum())
             print(f"{what}: the way decides at {differ} of {len(known)} points, by {known.max():.3f} mm at most")
+    if told:
+        apart, two, nowhere = np.array(told).T
+        found_there, found_else = int((apart & two).sum()), int((two & ~apart).sum())
+        print(
+            f"told by the run itself: {found_there} of {int(apart.sum())} points where ways differ, {found_else} of "
+            f"{int((~apart).sum())} others; {int(nowhere.sum())} second ways ended nowhere"
+        )
     for anatomy in dict.fromkeys(r.anatomy for r in rows):
         of = {way: [r for r in rows if (r.anatomy, r.way) == (anatomy, way)] for way in WAYS}
         words = [f"{way} {sum(r.systems for r in m)} ({sum(r.cpu_s for r in m):.0f})" for way, m in of.items()]
@@ -161,12 +181,23 @@ def main() -> None:
             row = Row(anatomy, number, way, result.kind or "done", float(result.manifest.get("cpu_s", np.nan)),
                       int(f.get("factorisations", f.get("newton_iterations", 0))),
                       int(f.get("ed_unstable_modes", 0)), float(f.get("esv_ml", np.nan)),
-                      {key: float(f[key]) for key in KEYS if key in f}, frames)  # fmt: skip
+                      {key: float(f[key]) for key in KEYS if key in f}, frames, *_told(f))  # fmt: skip
             rows.append(row)
             records.add(choice.record, row)
             print(f"{anatomy} {number} {way}: {row.end}, {row.cpu_s:.0f} CPU s, ESV {row.esv_ml:.4f} mL", flush=True)
     order = [*ANATOMIES, "real"]
     summary(sorted(rows, key=lambda r: (order.index(r.anatomy), r.number)))
+
+
+def _told(features: dict[str, Any]) -> tuple[int, float, float]:
+    """How many equilibria the run says that it found (-1: not asked), and how far they are apart in KEYS (mm) and volume (mL)."""
+    spread = features.get("equilibria_spread", {})
+    known = [spread[key] for key in KEYS if key in spread]
+    return (
+        int(features.get("equilibria", {}).get("found", -1)),
+        max(known, default=float("nan")),
+        spread.get("esv_ml", float("nan")),
+    )
 
 
 def _is(row: Row, anatomy: str, number: int, way: str) -> bool:

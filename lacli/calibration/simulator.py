@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -122,8 +123,8 @@ def _outcome(result: RunResult, errors: dict[str, float], framed: bool) -> Outco
     features = result.features if result.status == "done" else {}
     outputs = {k: float(v) for k, v in features.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
     gradients: dict[tuple[str, str], float] = {}
+    es, spread = None, dict(features.get("equilibria_spread") or {})
     if features:
-        es = None
         if framed:
             of_frames, es = features_at_times(result.folder)
             outputs |= of_frames
@@ -134,6 +135,10 @@ def _outcome(result: RunResult, errors: dict[str, float], framed: bool) -> Outco
                 for name in (row, *_also(row, es))
                 for given, value in cells.items()
             }
+    spread |= {also: value for name, value in spread.items() for also in _also(name, es)}
+    if outputs:
+        # either of two states, one as likely as the other: half their distance is the standard deviation
+        errors = errors | {name: math.hypot(errors.get(name, 0.0), 0.5 * value) for name, value in spread.items()}
     return Outcome(
         outputs,
         "done" if result.status == "done" else "failed",
@@ -144,6 +149,7 @@ def _outcome(result: RunResult, errors: dict[str, float], framed: bool) -> Outco
         float(result.manifest.get("peak_memory_mb") or float("nan")),
         int(result.manifest.get("attempts") or 1),
         gradients,
+        spread,
     )
 
 

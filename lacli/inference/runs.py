@@ -19,7 +19,7 @@ from lacli.base.processes.process import memory_mb
 from lacli.contracts import failures
 from lacli.contracts.identity import Identity, beside, conflict, identify, read_identity, write_identity
 from lacli.contracts.tables.gradients import name_of as gradient_name
-from lacli.contracts.tables.table import ERROR_SUFFIX, STATUS, RunTable, combine, input_values, read_frame
+from lacli.contracts.tables.table import ERROR_SUFFIX, SPREAD_SUFFIX, STATUS, RunTable, combine, input_values, read_frame
 
 KIND, ATTEMPTS, MESSAGE, MEMORY = "kind", "attempts", "message", "peak_memory_mb"
 
@@ -28,7 +28,8 @@ KIND, ATTEMPTS, MESSAGE, MEMORY = "kind", "attempts", "message", "peak_memory_mb
 class Outcome:
     """What came of a run: outputs by name, status ``done`` or ``failed``, the kind of failure and its message, discretisation
     errors (one standard deviation, by output's name), CPU seconds, peak memory; attempts that the machine ended; gradients:
-    derivatives by (output, input), in the output's unit over the input's."""
+    derivatives by (output, input), in the output's unit over the input's; spread: how far two equilibria of the run are apart, by
+    output's name, 0 where there is one (empty: not known)."""
 
     outputs: dict[str, float]
     status: str = "done"
@@ -39,6 +40,7 @@ class Outcome:
     peak_memory_mb: float = float("nan")
     attempts: int = 1
     gradients: dict[tuple[str, str], float] = field(default_factory=dict)
+    spread: dict[str, float] = field(default_factory=dict)
 
     @property
     def lost(self) -> bool:
@@ -124,6 +126,7 @@ class RunLog:
         row: dict[str, object] = dict(zip(self.inputs, point, strict=True))
         row |= {name: outcome.outputs.get(name, np.nan) for name in self.outputs}
         row |= {name + ERROR_SUFFIX: outcome.errors[name] for name in self.outputs if name in outcome.errors}
+        row |= {name + SPREAD_SUFFIX: outcome.spread[name] for name in self.outputs if name in outcome.spread}
         row |= {
             gradient_name(output, given): outcome.gradients[output, given]
             for output, given in itertools.product(self.outputs, self.inputs)
@@ -180,6 +183,10 @@ class RunLog:
         names = [gradient_name(output, given) for given in self.inputs for output in outputs]
         found = self.frame(x).reindex(columns=names).to_numpy(float)
         return np.asarray(found.reshape(len(x), len(self.inputs), len(outputs)))
+
+    def spread(self, x: FloatArray, outputs: Sequence[str]) -> FloatArray:
+        """(m, p): how far two equilibria of the runs at x (m, d) are apart in the named outputs, NaN where that is not known."""
+        return self.frame(x).reindex(columns=[name + SPREAD_SUFFIX for name in outputs]).to_numpy(float)
 
     def table(self, x: FloatArray, outputs: Sequence[str]) -> RunTable:
         """The checked table of the runs at x (m, d), in that order, with the named outputs."""

@@ -3,7 +3,7 @@
 Where the end-diastolic wall has unstable modes, the frames after it may be reached on either side: runs at all but the same
 parameters then differ by millimetres in those frames, and agree again at end-systole. Between two runs a smooth output changes by
 the mean of its slopes at both, but for a third-order rest; where the rest is more than what the slopes' own change allows,
-something else has happened between them.
+something else has happened between them. A run that sought its end-systole twice says itself whether there are two.
 """
 
 from __future__ import annotations
@@ -22,28 +22,38 @@ _REST, _OF_BEND = (
     2.0,
     0.5,
 )  # standard deviations of a target, and share of what the change of the slopes makes: a larger rest jumps
+APART = 1.0  # standard deviations of a target: a run whose two equilibria differ more is no point of a smooth function
 _FEW = 0.1  # a share of the runs that lie elsewhere in a frame and are left out themselves; of more, the frame is
 
 
 @dataclass(frozen=True)
 class Branches:
-    """times: frames of several states, whose targets no run tells; strays (n,): runs that lie elsewhere in what is left."""
+    """times: frames of several states, whose targets no run tells; strays (n,): runs that lie elsewhere in what is left, or that
+    have two equilibria; torn (n,): the latter, the best run among them, which is no stray."""
 
     times: tuple[float, ...]
     strays: BoolArray
+    torn: BoolArray
 
 
 def look(evidence: Evidence, targets: Targets) -> Branches:
-    """Compare the runs in each frame: those left out are as few as leave no contradiction, and never the best run."""
+    """Compare the runs in each frame: those left out are as few as leave no contradiction, and never the best run.
+
+    Runs that say of themselves that they have two equilibria are left out first, but for the best: the answer is about it.
+    """
     left: list[float] = []
-    strays = np.zeros(len(evidence.z), bool)
+    torn = np.asarray((evidence.spread > APART).any(1))
+    strays = torn.copy()
+    if evidence.told.any():
+        strays[int(np.argmin(np.where(evidence.told, evidence.misfit, np.inf)))] = False
+    whole = evidence.told & ~strays
     for time, columns in _frames(targets).items():
-        compared, off = _elsewhere(evidence, targets, columns)
+        compared, off = _elsewhere(evidence, targets, columns, whole)
         if time is not None and off.sum() > max(1.0, _FEW * compared):
             left.append(time)
         else:
             strays |= off
-    return Branches(tuple(left), strays)
+    return Branches(tuple(left), strays, torn)
 
 
 def without(targets: Targets, times: tuple[float, ...]) -> Targets:
@@ -66,10 +76,10 @@ def _frames(targets: Targets) -> dict[float | None, list[int]]:
     return found
 
 
-def _elsewhere(evidence: Evidence, targets: Targets, columns: list[int]) -> tuple[int, BoolArray]:
-    """Of the outputs ``columns``: how many runs have another near them, and which are elsewhere (n,)."""
+def _elsewhere(evidence: Evidence, targets: Targets, columns: list[int], compared: BoolArray) -> tuple[int, BoolArray]:
+    """Of the outputs ``columns``: how many of the runs ``compared`` (n,) have another near them, and which are elsewhere (n,)."""
     own = (factor(targets) / targets.sd[:, None])[columns]  # whitened -> each target in its own standard deviations
-    rows = np.flatnonzero(evidence.told)
+    rows = np.flatnonzero(compared)
     p = evidence.targets
     z, value = evidence.z[rows], evidence.residual[rows, :p] @ own.T
     slope = np.einsum("jp,npd->njd", own, evidence.jacobian[rows, :p])

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 class Evidence:
     """Finished runs: x, z (n, d) their inputs; residual (n, p + q) = L^-1 (f - target), L L' the targets' covariance, followed by
     those of q priors; jacobian (n, p + q, d) = d residual / dz, NaN where a run tells no derivatives; failed (k, d): z of runs
-    that failed; targets: p. Of cheap runs that were corrected: by what, and which are the reference's own (n,)."""
+    that failed; targets: p; spread (n, p): how far two equilibria of a run are apart, in each target's standard deviations, 0
+    where it is not known. Of cheap runs that were corrected: by what, and which are the reference's own (n,)."""
 
     x: FloatArray
     z: FloatArray
@@ -32,6 +33,7 @@ class Evidence:
     jacobian: FloatArray
     failed: FloatArray
     targets: int
+    spread: FloatArray
     correction: Correction | None = None
     dear: BoolArray | None = None
 
@@ -59,6 +61,7 @@ class Evidence:
         """Some of the runs."""
         return replace(
             self, x=self.x[rows], z=self.z[rows], residual=self.residual[rows], jacobian=self.jacobian[rows],
+            spread=self.spread[rows],
             dear=None if self.dear is None else self.dear[rows],
         )  # fmt: skip
 
@@ -93,7 +96,7 @@ def gather(log: RunLog, x: FloatArray, targets: Targets, scale: Scale) -> Eviden
     slopes_of_priors[~told] = np.nan
     return Evidence(
         x_done, scale.to_z(x_done), np.hstack([residual, of_priors]), np.concatenate([jacobian, slopes_of_priors], axis=1),
-        scale.to_z(x[~done]), len(targets.names),
+        scale.to_z(x[~done]), len(targets.names), np.nan_to_num(log.spread(x_done, targets.names)) / targets.sd,
     )  # fmt: skip
 
 

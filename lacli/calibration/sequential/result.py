@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from lacli.base.arrays import FloatArray
-from lacli.calibration.sequential import modes
+from lacli.calibration.sequential import branches, modes
 from lacli.calibration.sequential.draw.information import by_group
 from lacli.calibration.sequential.emulator import Components
 from lacli.calibration.sequential.evidence import Evidence, factor
@@ -139,6 +139,7 @@ def result_of(
         )
     if search.strays:
         notes.append(f"{search.strays} runs lie on another branch than their neighbours and are left out.")
+    notes += _several(search.torn, evidence.spread[row], targets)
     if local.held_out > 2.0:
         notes.append(
             f"runs left out of the emulator miss it by {np.sqrt(local.held_out):.1f} times what it says of itself; its variance "
@@ -154,6 +155,22 @@ def result_of(
         tuple(notes), search.x, float(used["cpu_s"].sum()) + (fidelity.cpu_s if fidelity else 0.0), search.left_out, rmse,
         by_group(search.told, evidence.x[told], targets, search.scale), scores, fidelity,
     )  # fmt: skip
+
+
+def _several(torn: int, spread: FloatArray, targets: Targets) -> list[str]:
+    """What is said of runs with two equilibria: ``torn`` were left out; spread (p,): of the best run, in the targets' sd."""
+    said = []
+    if torn:
+        said.append(
+            f"{torn} runs have two equilibria that are apart by more than a target's standard deviation; they are left out, and "
+            "the posterior does not know of them."
+        )
+    if (most := float(spread.max(initial=0.0))) > branches.APART:
+        said.append(
+            f"the best run itself has two equilibria, {most:.1f} standard deviations apart in "
+            f"{targets.names[int(spread.argmax())]}; it counts with the one of less energy."
+        )
+    return said
 
 
 def _correcting(search: Search, evidence: Evidence, x: FloatArray) -> Correcting | None:

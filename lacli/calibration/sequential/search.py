@@ -84,7 +84,7 @@ class Search:
         self.x = np.empty((0, box.d))
         self.stages: dict[str, int] = {}
         self.notes: list[str] = []
-        self.strays = 0
+        self.strays = self.torn = 0
         self.reference, self.dear = reference, np.empty((0, box.d))
         self._correction: tuple[object, Correction | None] = (None, None)
 
@@ -131,7 +131,8 @@ class Search:
             if not times:
                 break
             self.targets = branches.without(self.targets, times)
-        self.strays = sum(int(seen.strays.sum()) for seen in looked)
+        self.strays = sum(int((seen.strays & ~seen.torn).sum()) for seen in looked)
+        self.torn = sum(int((seen.strays & seen.torn).sum()) for seen in looked)
         found = found.take(~looked[0].strays)
         if dear is None or not len(dear.z):
             return found

@@ -16,6 +16,7 @@ from lacli.contracts.tables.absent import check_column
 
 STATUS = "status"
 ERROR_SUFFIX = "_discretisation_error"
+SPREAD_SUFFIX = "_equilibria_spread"  # of two equilibria of a run, beside an output of that name; no output of its own
 # columns beside an output of that name that tell its uncertainty, one standard deviation
 ERROR_SUFFIXES = (ERROR_SUFFIX, "_error", "_err", "_sd", "_std", "_se", "_uncertainty")
 # bookkeeping columns that are neither inputs nor outputs
@@ -55,7 +56,7 @@ def is_label(name: str) -> bool:
 
 def is_bookkeeping(name: str) -> bool:
     """Whether a column of this name is neither an input nor an output of a simulator."""
-    return name.strip().lower() == STATUS or name in _BOOKKEEPING or is_label(name)
+    return name.strip().lower() == STATUS or name in _BOOKKEEPING or name.endswith(SPREAD_SUFFIX) or is_label(name)
 
 
 def error_of(name: str, names: Sequence[str]) -> str | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from lacli.contracts.labels import REGIONS
-from lacli.contracts.tables.columns import ERROR_SUFFIX, STATUS
+from lacli.contracts.tables.columns import ERROR_SUFFIX, SPREAD_SUFFIX, STATUS
 
 
 @dataclass(frozen=True)
@@ -96,6 +96,12 @@ TABLE: tuple[Field, ...] = (
     Field("peak_memory_mb", "MB", "cost"),
     Field("attempts", "", "how often the machine ended the run", always=False),
     Field(f"<output>{ERROR_SUFFIX}", "as the output", "one standard deviation, where known", always=False),
+    Field(
+        f"<output>{SPREAD_SUFFIX}",
+        "as the output",
+        "of two equilibria of the run; half of it is in the error; with `outputs.equilibria`",
+        always=False,
+    ),
     Field("d<output>/d<input>", "the output's over the input's", "derivative at the run; empty where unknown", always=False),
 )
 

@@ -15,6 +15,7 @@ from lacli.contracts.tables import checks
 from lacli.contracts.tables.absent import check_column
 from lacli.contracts.tables.columns import (
     ERROR_SUFFIX,
+    SPREAD_SUFFIX,
     STATUS,
     derivative_of,
     error_of,
@@ -28,7 +29,17 @@ from lacli.contracts.tables.file import listed, read_frame
 from lacli.contracts.tables.gradients import check_gradients, read_gradients
 from lacli.contracts.tables.pairing import check_shared_columns, pair
 
-__all__ = ["ERROR_SUFFIX", "STATUS", "RunTable", "combine", "fewest_runs", "input_values", "is_bookkeeping", "read_frame"]
+__all__ = [
+    "ERROR_SUFFIX",
+    "SPREAD_SUFFIX",
+    "STATUS",
+    "RunTable",
+    "combine",
+    "fewest_runs",
+    "input_values",
+    "is_bookkeeping",
+    "read_frame",
+]
 # an emulator's fit takes time as the cube of the runs, memory as the square: 2,000 take minutes and 0.2 GB an output
 MOST_RUNS = 2_000
 _THINNING_SEED = 0

@@ -60,17 +60,19 @@ def fit_correction(cheap: Evidence, dear: Evidence) -> Correction | None:
 def corrected(cheap: Evidence, dear: Evidence, correction: Correction) -> Evidence:
     """The cheap runs as the reference would tell them: by its own run where there is one, else by the correction."""
     p = cheap.targets
-    residual, jacobian = cheap.residual.copy(), cheap.jacobian.copy()
+    residual, jacobian, spread = cheap.residual.copy(), cheap.jacobian.copy(), cheap.spread.copy()
     residual[:, :p] = correction.rho * residual[:, :p] + correction.mean(cheap.z)
     jacobian[:, :p] = correction.rho * jacobian[:, :p] + np.array([correction.slope(z) for z in cheap.z])
     own = np.zeros(len(cheap.z), bool)
     for i, j in pairs(cheap, dear):
         own[i] = True
-        residual[i] = dear.residual[j]
+        residual[i], spread[i] = dear.residual[j], dear.spread[j]
         if np.isfinite(dear.jacobian[j]).all():
             jacobian[i] = dear.jacobian[j]
     failed = np.vstack([cheap.failed, dear.failed])
-    return replace(cheap, residual=residual, jacobian=jacobian, failed=failed, correction=correction, dear=own)
+    return replace(
+        cheap, residual=residual, jacobian=jacobian, spread=spread, failed=failed, correction=correction, dear=own
+    )  # fmt: skip
 
 
 def _rho(delta: Components, low: FloatArray, high: FloatArray) -> float:
