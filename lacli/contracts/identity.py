@@ -27,7 +27,7 @@ from lacli.contracts.scene import Scene
 
 # a number for each kind of kept thing: raised when what is kept is made in another way, so that nothing old is taken for new
 METHODS: dict[str, int] = {
-    "runs": 1, "calibration": 2, "emulators": 1, "region": 2, "chain": 2, "accuracy": 2, "figures": 1, "result": 1,
+    "runs": 1, "calibration": 2, "emulators": 1, "region": 2, "chain": 3, "accuracy": 2, "figures": 1, "result": 1,
     # of a study's steps alone, whose marks have all numbers
     "anatomy": 3, "motion": 3, "comparison": 3,
 }  # fmt: skip

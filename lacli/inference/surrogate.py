@@ -1,4 +1,7 @@
-"""A polynomial stand-in for a density in the part of the box where its samples are: nearly free, never trusted alone."""
+"""A stand-in for a density in the part of the box where its samples are: nearly free, never trusted alone.
+
+Of a prediction the variance is dear, (N, N) numbers at each point; the mean takes N.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +14,17 @@ from lacli.inference.polynomial import Polynomial, fit_polynomial
 from lacli.inference.sampling.likelihood import Density, gaussian_log_likelihood
 
 _STEEP = 30.0
+# polynomial means that err by more in log likelihood, where the samples are, err by far more in the arms of a curved density
+_CLOSE = 0.1
 
 
 @dataclass(frozen=True)
 class Surrogate:
-    """Cubic polynomials for the emulators' means and log variances on the inputs' scales.
+    """Cubic polynomials for the emulators' log variances on the inputs' scales, and for their means where these are close.
 
-    polynomial: (m, d) -> (m, 2 p); floor, ceiling (p,) of the log variance; threshold on the implausibility from which
-    the density is zero (infinite where that is not for these emulators to say).
+    polynomial: (m, d) -> (m, 2 p), or (m, p) of the log variances alone, beside the emulators' own means; floor, ceiling (p,) of
+    the log variance; threshold on the implausibility from which the density is zero (infinite where that is not for these
+    emulators to say).
     """
 
     density: Density
@@ -26,6 +32,11 @@ class Surrogate:
     floor: FloatArray
     ceiling: FloatArray
     threshold: float
+
+    @property
+    def own_means(self) -> bool:
+        """Whether the means are the emulators' own."""
+        return self.polynomial.coefficients.shape[1] == len(self.floor)
 
     def __call__(self, x: FloatArray) -> FloatArray:
         """Approximate log density (m,) at x (m, d); -inf outside the box, steeply falling (never zero: the exact density has
@@ -36,11 +47,12 @@ class Surrogate:
             return value
         fitted = self.polynomial(x[rows])
         p = len(self.floor)
-        variance = np.exp(np.clip(fitted[:, p:], self.floor, self.ceiling))
+        variance = np.exp(np.clip(fitted[:, -p:], self.floor, self.ceiling))
+        mean = self.density.emulators.predict_mean(x[rows]) if self.own_means else fitted[:, :p]
         targets = self.density.targets
-        value[rows] = gaussian_log_likelihood(fitted[:, :p], variance, targets) + self.density.log_prior(x[rows])
+        value[rows] = gaussian_log_likelihood(mean, variance, targets) + self.density.log_prior(x[rows])
         if np.isfinite(self.threshold):
-            worst = np.sqrt(((fitted[:, :p] - targets.mean) ** 2 / (variance + targets.sd**2)).max(1))
+            worst = np.sqrt(((mean - targets.mean) ** 2 / (variance + targets.sd**2)).max(1))
             value[rows] -= _STEEP * np.maximum(worst / self.threshold - 1.0, 0.0)
         return value
 
@@ -53,15 +65,18 @@ def fit_surrogate(density: Density, x: FloatArray) -> tuple[Surrogate, float]:
     box = density.region.box
     log_inputs = (density.emulators.log_share > 0.5) & (box.lower > 0)
     mean, variance = density.emulators.predict_truth(x)
-    y = np.hstack([mean, np.log(variance)])
+    log_variance = np.log(variance)
     kept_out = np.zeros(len(x), bool)
     kept_out[::5] = True
-    polynomial = fit_polynomial(x[~kept_out], y[~kept_out], box.lower, box.upper, log_inputs)
-    p = len(density.targets.mean)
-    log_variance = y[:, p:]
     waves = density.region.waves
     own = [w.threshold for w in waves if w.emulators is density.emulators and w.targets is density.targets]
-    result = Surrogate(density, polynomial, log_variance.min(0) - 0.5, log_variance.max(0) + 0.5, min(own, default=np.inf))
+    ends = log_variance.min(0) - 0.5, log_variance.max(0) + 0.5
     exact = gaussian_log_likelihood(mean[kept_out], variance[kept_out], density.targets) + density.log_prior(x[kept_out])
-    error = result(x[kept_out]) - exact
-    return result, float(error.std())
+
+    def fitted(y: FloatArray) -> tuple[Surrogate, float]:
+        polynomial = fit_polynomial(x[~kept_out], y[~kept_out], box.lower, box.upper, log_inputs)
+        found = Surrogate(density, polynomial, *ends, min(own, default=np.inf))
+        return found, float((found(x[kept_out]) - exact).std())
+
+    found, error = fitted(np.hstack([mean, log_variance]))
+    return (found, error) if error < _CLOSE else fitted(log_variance)

@@ -10,7 +10,6 @@ import numpy as np
 
 from lacli.base.arrays import FloatArray
 
-_COMPONENTS = 12
 _POINTS_PER_COMPONENT = 60
 
 
@@ -40,17 +39,17 @@ class Mixture:
         return np.asarray(top + np.log(np.exp(exponent - top[:, None]).sum(1)), float)
 
 
-def fit_mixture(x: FloatArray, scale: FloatArray, seed: int = 0) -> Mixture:
-    """A mixture for points x (m, d); scale (d,): lengths in which the inputs compare (the box's size)."""
+def fit_mixture(x: FloatArray, scale: FloatArray, seed: int = 0, most: int = 12, widened: float = 2.0) -> Mixture:
+    """A mixture of at most ``most`` distributions for points x (m, d); scale (d,): lengths in which the inputs compare (the
+    box's size); widened: so many times as wide as the points, in variance, that tails are reached too."""
     from sklearn.mixture import GaussianMixture
 
-    count = int(np.clip(len(x) // _POINTS_PER_COMPONENT, 1, _COMPONENTS))
+    count = int(np.clip(len(x) // _POINTS_PER_COMPONENT, 1, most))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a fit stopped early serves as well
-        # twice as wide as the points, in variance: tails are reached too
         # (k-means itself would sum in several threads, in any order: other bits each time)
         options: dict[str, Any] = {"init_params": "k-means++", "reg_covar": 1e-8, "max_iter": 30, "random_state": seed}
         fitted = GaussianMixture(count, **options).fit(x / scale)
-    factors = np.asarray(np.linalg.cholesky(2.0 * fitted.covariances_) * scale[:, None], np.float64)
+    factors = np.asarray(np.linalg.cholesky(widened * fitted.covariances_) * scale[:, None], np.float64)
     inverses = np.asarray(np.linalg.inv(factors), np.float64)
     return Mixture(np.asarray(fitted.weights_), fitted.means_ * scale, factors, inverses)

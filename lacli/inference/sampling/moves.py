@@ -41,6 +41,12 @@ class EnsemblesMove(Move):
         self.ensembles, self.scale, self.surrogate, self.detour = ensembles, scale, surrogate, detour
         self.mixture = mixture
 
+    def tempered(self, heat: float) -> EnsemblesMove:
+        """The same moves for the density to the power 1 / heat."""
+        cold = self.surrogate
+        hot = None if cold is None else lambda x: cold(x) / heat
+        return EnsemblesMove(self.ensembles, self.scale, hot, self.detour, self.mixture)
+
     def propose(self, model: Any, state: Any) -> tuple[Any, NDArray[np.bool_]]:
         """One step of all walkers; called by emcee, which hands over its random generator and density."""
         rng = model.random

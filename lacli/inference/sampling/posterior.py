@@ -26,15 +26,19 @@ from lacli.inference.sampling.moves import EnsemblesMove
 from lacli.inference.surrogate import fit_surrogate
 
 _FORMAT = 2
-_WALK = 2  # which moves the walkers make
+_WALK = 3  # which moves the walkers make
 STOPPING = frozenset({"rhat", "ess", "max_steps"})  # settings that say when a chain is long enough, not where it goes
 # an input whose sd the targets shrink by less than this has stayed as it was known before
 LEAST_CONTRACTION = 0.2
-_TUNING = 200  # steps of plain moves before anything is kept
+# before anything is kept: steps of plain moves; of a walk at this temperature, whose states reach further along the arms of a
+# curved density, and teach the chain's proposals; of a walk back at temperature 1
+_TUNING, _LEARNING, _HOT, _SETTLING = 200, 100, 2.0, 50
 _ROUND = 50  # steps between saves
 # a stand-in whose log likelihood is off by more than this is accepted too seldom to pay
 _SURROGATE_ERROR = 2.0
 _SURROGATE_POINTS = 1600
+# of the mixture that some steps jump to; as wide as hot states and a little more, in variance: walls let no heat through
+_MIXTURE_POINTS, _COMPONENTS, _WIDER = 7200, 48, 1.4
 # R-hat and ESS are not known before they are looked at first
 _SCHEMA = {
     "names": Array("text", ("d",), distinct=True),
@@ -119,7 +123,7 @@ def sample_posterior(
     if previous is not None and (words := conflict(parse_identity(previous.key), identity, "a chain")):
         raise UsageError(f"the file to continue {words}. Sample into another one.")
     chain = previous if previous is not None and previous.steps else _tune(density, settings, start, identity.text())
-    move = _move(density, settings, chain.tuning_points)
+    move = _move(density, settings, chain.tuning_points, _WIDER)
     chain = replace(chain, uses_surrogate=move.surrogate is not None)
     count = settings.ensembles * settings.walkers
     sampler = emcee.EnsembleSampler(count, density.d, density, moves=move, vectorize=True)
@@ -201,16 +205,26 @@ def diagnostics(samples: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _tune(density: Density, settings: Settings, start: FloatArray | None, key: str) -> Chain:
-    """Starting walkers and plain steps; keeps the states visited, from which the stand-in is fitted."""
+    """Starting walkers, plain steps, and a hotter walk with proposals learnt from these; keeps its states, from which the chain's
+    proposals are learnt, and the walkers at the end."""
     rng = np.random.default_rng(settings.seed)
     count, d = settings.ensembles * settings.walkers, density.d
-    state = starting_walkers(density, count, rng, start)
-    sampler = emcee.EnsembleSampler(count, d, density, moves=_move(density, settings, None), vectorize=True)
-    sampler.random_state = np.random.RandomState(settings.seed).get_state()
-    state = sampler.run_mcmc(state, _TUNING, skip_initial_state_check=True)
-    visited = sampler.get_chain()[_TUNING // 2 :]
-    every = max(1, len(visited) * count // _SURROGATE_POINTS)
-    points = np.vstack([visited[:-1].reshape(-1, d)[::every], visited[-1]])
+    state = emcee.State(starting_walkers(density, count, rng, start))
+    state.random_state = np.random.RandomState(settings.seed).get_state()
+
+    def walk(move: EnsemblesMove, steps: int, most: int, of: Callable[[FloatArray], FloatArray] = density) -> FloatArray:
+        """Go on from ``state``; some ``most`` of the states of the last half (m, d)."""
+        nonlocal state
+        sampler = emcee.EnsembleSampler(count, d, of, moves=move, vectorize=True)
+        begin = emcee.State(state.coords, random_state=state.random_state)  # its density is not this one
+        state = sampler.run_mcmc(begin, steps, skip_initial_state_check=True)
+        visited = sampler.get_chain()[steps // 2 :].reshape(-1, d)
+        return visited[:: max(1, len(visited) // most)]
+
+    plain = EnsemblesMove(settings.ensembles, density.region.box.upper - density.region.box.lower)
+    move = _move(density, settings, walk(plain, _TUNING, _SURROGATE_POINTS), _HOT)
+    told = walk(move.tempered(_HOT), _LEARNING, _MIXTURE_POINTS, lambda x: density(x) / _HOT)
+    walk(move, _SETTLING, 1)
     empty = np.empty((0, settings.ensembles, settings.walkers))
     nothing = np.full(d, np.nan)
     return Chain(
@@ -222,20 +236,18 @@ def _tune(density: Density, settings: Settings, start: FloatArray | None, key: s
         nothing,
         False,
         state.random_state,
-        points,
+        np.vstack([told, state.coords]),
         False,
         key,
     )
 
 
-def _move(density: Density, settings: Settings, points: FloatArray | None) -> EnsemblesMove:
-    box = density.region.box
-    surrogate = None
-    if points is not None:
-        fitted, error = fit_surrogate(density, points)
-        surrogate = fitted if error < _SURROGATE_ERROR else None
-    mixture = None if points is None else fit_mixture(points, box.upper - box.lower)
-    return EnsemblesMove(settings.ensembles, box.upper - box.lower, surrogate, mixture=mixture)
+def _move(density: Density, settings: Settings, points: FloatArray, widened: float) -> EnsemblesMove:
+    """With proposals learnt from points (m, d); jumps are to a mixture so many times as wide as they, in variance."""
+    width = density.region.box.upper - density.region.box.lower
+    surrogate, error = fit_surrogate(density, points[:: max(1, len(points) // _SURROGATE_POINTS)])
+    mixture = fit_mixture(points, width, most=_COMPONENTS, widened=widened)
+    return EnsemblesMove(settings.ensembles, width, surrogate if error < _SURROGATE_ERROR else None, mixture=mixture)
 
 
 def starting_walkers(density: Density, count: int, rng: np.random.Generator, start: FloatArray | None) -> FloatArray:

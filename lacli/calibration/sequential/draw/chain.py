@@ -32,6 +32,10 @@ class _Outputs:
 
     predict_truth = predict  # runs are taken for exact here; their own error is in the targets' covariance
 
+    def predict_mean(self, x: FloatArray) -> FloatArray:
+        """Mean (m, p) alone, at a tenth of the cost."""
+        return self.components.mean(self.scale.to_z(x))
+
     @property
     def log_share(self) -> FloatArray:
         """(d,): 1 for inputs taken as logarithms, else 0."""
