@@ -23,6 +23,7 @@ from lacli.freefem.files import read_history, read_state
 from lacli.mechanics.features import cell_gradient, regional_extras
 
 FIELDS, HISTORY = "fields", "history.txt"
+OTHER = "es_other"  # among the fields: the equilibrium that was found too
 _RAW = ("txt", "txt.part", "rates", "state", "start")  # endings of what a deck reads and writes
 _STATE = "state_"  # begins a state's line of the history
 
@@ -186,6 +187,9 @@ def write_fields(case: Case, results: Results, folder: Path) -> list[str]:
     if free is not None:
         write_state(case.bundle, free, free, place / "unloaded.vtu")
         names = [*names, "unloaded"]
+    if results.other is not None:
+        write_state(case.bundle, results.other, free, place / f"{OTHER}.vtu")
+        names = [*names, OTHER]
     pvd = [
         '<?xml version="1.0"?>',
         '<VTKFile type="Collection" version="0.1">',

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import meshio
 import pytest
 from shapes import cut_ball
 from typer.testing import CliRunner
 
+from lacli.anatomy.surface_features import cavity_volume_ml
 from lacli.anatomy.wall.shell import mesh_shell
 from lacli.cli.main import build
 from lacli.contracts import bundle as bundles
@@ -126,13 +128,19 @@ def test_energies_follow_the_pressure_by_the_volumes(both: tuple[RunResult, RunR
     .2 mmHg more, .0266644 kPa, the difference of both energies changes by that times the difference of both volumes (kPa mL are
     1000 uJ)."""
     once, asked = both
-    more = run_scene(with_parameters(twice(soft), {"esp_mmhg": SOFT["esp_mmhg"] + 0.2}), root)
+    scene = with_parameters(twice(soft), {"esp_mmhg": SOFT["esp_mmhg"] + 0.2})
+    scene = scene.model_copy(update={"outputs": scene.outputs.model_copy(update={"fields": "es"})})
+    more = run_scene(scene, root)
     found = [run.features["equilibria"] for run in (asked, more)]
     assert [(one["found"], one["kept"]) for one in found] == [(2, 2), (2, 2)]
     apart = [run.features["equilibria_spread"]["esv_ml"] for run in (asked, more)]
     larger = asked.features["esv_ml"] > once.features["esv_ml"]
     expected = (1.0 if larger else -1.0) * 0.0266644 * 1000.0 * sum(apart) / 2
     assert found[1]["energy_above_uj"] - found[0]["energy_above_uj"] == pytest.approx(expected, rel=0.01)
+    # and the other one is there to be looked at
+    other = meshio.read(more.folder / "fields" / "es_other.vtu").points
+    volume = cavity_volume_ml(bundles.as_order(bundles.load(scene.anatomy.bundle), 1), other)
+    assert abs(volume - more.features["esv_ml"]) == pytest.approx(apart[1], abs=1e-9)
 
 
 def test_where_others_start_from_nothing_of_two_equilibria_is_left(both: tuple[RunResult, RunResult], root: Path) -> None:
