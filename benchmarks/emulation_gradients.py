@@ -4,7 +4,8 @@
 
 Runs: nine inputs of the published box, synthetic atrium, linear cells, a Sobol' sequence to learn from and independent uniform
 points to test on; the seven published outputs. Calm runs, whose walls have not snapped on the way (at most 34 Newton iterations,
-no unstable mode at end-diastole), are scored apart; "within": share of the runs within two standard deviations. --scale: a function of 15 inputs and 150 outputs on 300 runs: time, memory.
+no unstable mode at end-diastole), are scored apart; "within": share of the runs within two standard deviations. --scale: a
+function of 15 inputs and 150 outputs on 300 runs: time, memory.
 With --out, tables of runs that are there are used again.
 """
 
