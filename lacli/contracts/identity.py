@@ -25,9 +25,10 @@ from lacli.base.schema import array_file
 from lacli.base.version import __version__
 from lacli.contracts.scene import Scene
 
-# a number for each kind of kept thing: raised when what is kept is made in another way, so that nothing old is taken for new
+# a number for each kind of kept thing: raised when what is kept is made in another way, so that nothing old is taken for new;
+# "runs" also when a scene's plan changes (lacli/mechanics/plan.py), which the deck and the libraries do not tell
 METHODS: dict[str, int] = {
-    "runs": 1, "calibration": 2, "emulators": 1, "region": 2, "chain": 3, "accuracy": 2, "figures": 1, "result": 1,
+    "runs": 2, "calibration": 2, "emulators": 1, "region": 2, "chain": 3, "accuracy": 2, "figures": 1, "result": 1,
     # of a study's steps alone, whose marks have all numbers
     "anatomy": 3, "motion": 3, "comparison": 3,
 }  # fmt: skip
@@ -235,7 +236,7 @@ def content_hash(parts: Mapping[str, Any]) -> str:
 
 
 def run_key(scene: Scene) -> str:
-    """Key of a run's content: scene, the bundle's files (not their path), deck and libraries, version of lacli.
+    """Key of a run's content: scene, the bundle's files (not their path), deck and libraries, method and version of lacli.
 
     Raises AnatomyError if the bundle is not there.
     """
@@ -244,13 +245,14 @@ def run_key(scene: Scene) -> str:
             "scene": scene.content(),
             "bundle": bundle_digest(scene.anatomy.bundle),
             "solver": solver_digest(),
+            "method": METHODS["runs"],
             "version": __version__,
         }
     )
 
 
 def determinants(scene: Scene) -> dict[str, Any]:
-    """What determines the runs of a scene, by name: scene, content of the bundle, FreeFEM scripts and libraries.
+    """What determines the runs of a scene, by name: scene, content of the bundle, FreeFEM scripts and libraries, method.
 
     Raises AnatomyError if the bundle is not there.
     """
@@ -258,6 +260,7 @@ def determinants(scene: Scene) -> dict[str, Any]:
         **scene.content(),
         "bundle": f"content {bundle_digest(scene.anatomy.bundle)[:16]}",
         "scripts": f"content {solver_digest()[:16]}",
+        "runs_method": METHODS["runs"],
     }
 
 

@@ -23,7 +23,17 @@ from lacli.base.schema import SEAL, write_arrays
 from lacli.calibration import calibration
 from lacli.calibration.simulator import SceneSimulator
 from lacli.contracts import identity
-from lacli.contracts.identity import METHODS, Identity, conflict, differences, identify, parse_identity, run_key, settle
+from lacli.contracts.identity import (
+    METHODS,
+    Identity,
+    conflict,
+    determinants,
+    differences,
+    identify,
+    parse_identity,
+    run_key,
+    settle,
+)
 from lacli.contracts.priors import Prior
 from lacli.contracts.scene import Scene, build_scene
 from lacli.contracts.tables.table import RunTable
@@ -139,8 +149,17 @@ def test_bundle_scripts_version_and_method_count(
     WITHOUT_SCENE[what](scene, monkeypatch)
     assert runs_identity(simulator, ("pth",), ("esv_ml",)) != runs
     assert accuracy.known_errors(scene) == {}
-    if what != "method":  # a run is told by its scripts
-        assert run_key(scene) != key
+    assert run_key(scene) != key
+
+
+def test_another_method_of_runs_is_another_run(scene_of: SceneOf, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The scripts do not tell which phases a scene is given: the number of the method does."""
+    scene = scene_of()
+    key, before, number = run_key(scene), determinants(scene), METHODS["runs"]
+    monkeypatch.setitem(identity.METHODS, "runs", number + 1)
+    assert run_key(scene) != key
+    now = determinants(scene)
+    assert {name: (before[name], now[name]) for name in now if now[name] != before[name]} == {"runs_method": (number, number + 1)}
 
 
 def test_errors_measured_since_are_another_table(scene_of: SceneOf, tmp_path: Path) -> None:
