@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ _NOTHING, _LARGEST = 1e-100, 1e100
 class Targets:
     """Targets of features by name: names (p,), mean (p,) and sd (p,) in the features' own units; covariance (p, p) of the errors,
     None: independent; priors of the simulator's inputs, None: uniform; added (p,): what of sd is not the measurement's, None:
-    nothing (``widened``); measured (p,): what of it is, None: all."""
+    nothing (``widened``); measured (p,): what of it is, None: all; errors (p, p): covariance of what was added, None: nothing."""
 
     names: tuple[str, ...]
     mean: FloatArray
@@ -39,6 +39,7 @@ class Targets:
     priors: tuple[Prior, ...] | None = None
     added: FloatArray | None = None
     measured: FloatArray | None = None
+    errors: FloatArray | None = None
 
     @property
     def own_sd(self) -> FloatArray:
@@ -57,7 +58,8 @@ class Targets:
         j = [self.names.index(name) for name in names]
         covariance = None if self.covariance is None else self.covariance[np.ix_(j, j)]
         added, measured = (None if value is None else value[j] for value in (self.added, self.measured))
-        return Targets(tuple(names), self.mean[j], self.sd[j], covariance, self.priors, added, measured)
+        errors = None if self.errors is None else self.errors[np.ix_(j, j)]
+        return Targets(tuple(names), self.mean[j], self.sd[j], covariance, self.priors, added, measured, errors)
 
     def widened(self, errors: Mapping[str, float], correlation: FloatArray | None = None) -> Targets:
         """The targets with errors (sd, in the features' units) of what is held against them added to their own.
@@ -68,10 +70,26 @@ class Targets:
         before = 0.0 if self.added is None else self.added
         added = np.diag(more**2) if correlation is None else np.outer(more, more) * correlation
         sd = np.sqrt(self.sd**2 + more**2)
+        in_all = added if self.errors is None else self.errors + added
+        told = (self.priors, np.hypot(before, more), self.own_sd, in_all)
         if self.covariance is None and np.array_equal(added, np.diag(np.diag(added))):
-            return Targets(self.names, self.mean, sd, None, self.priors, np.hypot(before, more), self.own_sd)
+            return Targets(self.names, self.mean, sd, None, *told)
         own = np.diag(self.sd**2) if self.covariance is None else self.covariance
-        return Targets(self.names, self.mean, sd, own + added, self.priors, np.hypot(before, more), self.own_sd)
+        return Targets(self.names, self.mean, sd, own + added, *told)
+
+    def with_errors_times(self, factor: float) -> Targets:
+        """The targets with what was added to their own errors ``factor`` times as large."""
+        if self.errors is None or factor == 1.0:
+            return self
+        assert self.added is not None, "errors are added with their standard deviations"
+        more = (factor**2 - 1.0) * self.errors
+        return replace(
+            self,
+            sd=np.sqrt(self.sd**2 + np.diag(more)),
+            covariance=None if self.covariance is None else self.covariance + more,
+            added=factor * self.added,
+            errors=factor**2 * self.errors,
+        )
 
 
 def read_targets(path: Path) -> Targets:

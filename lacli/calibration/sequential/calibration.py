@@ -83,6 +83,9 @@ def calibrate_sequentially(
     if reference is not None:
         evidence, components = bridge(search, evidence), None
     map_runs = len(search.x) + len(search.dear)
+    evidence = search.infer_errors(evidence)
+    if search.factor is not None and search.factor.value > 1.0:
+        components = None  # they are of residuals in other standard deviations
     known = [_best(evidence)]
     evidence, known, components, swept = _other_modes(
         search, evidence, known, components, "other starts", settings.mode_runs // 2

@@ -9,8 +9,9 @@ import numpy as np
 
 from lacli.base.arrays import FloatArray
 from lacli.calibration.sequential import branches
-from lacli.calibration.sequential.evidence import Evidence, gather, narrowed
+from lacli.calibration.sequential.evidence import Evidence, factor, gather, narrowed
 from lacli.calibration.sequential.fidelity.correction import Correction, corrected, fit_correction, pairs
+from lacli.calibration.sequential.fidelity.discrepancy import Factor, factor_of_errors
 from lacli.calibration.sequential.scale import Scale
 from lacli.contracts.targets import Targets
 from lacli.inference.box import Box
@@ -26,7 +27,7 @@ class Settings:
     as the posterior's, then ``batch`` at a time; end when the emulator's error moves the posterior's mean by less than
     ``share`` of its sd in every input, or at max_runs. mode_runs: at most so many to rule out other modes. reference_runs: at
     most so many of the reference, where the others are cheap; they end when the correction's error moves the mean by less than
-    ``correction_share``.
+    ``correction_share``. infer_errors: errors that were added to the targets' are taken for larger where the misfit says so.
     """
 
     starts: int = 4
@@ -38,6 +39,7 @@ class Settings:
     max_runs: int = 60
     reference_runs: int = 12
     correction_share: float = 0.2
+    infer_errors: bool = True
     seed: int = 0
     mcmc: mcmc.Settings = field(default_factory=mcmc.Settings)
 
@@ -86,6 +88,7 @@ class Search:
         self.notes: list[str] = []
         self.strays = self.torn = 0
         self.reference, self.dear = reference, np.empty((0, box.d))
+        self.factor: Factor | None = None
         self._correction: tuple[object, Correction | None] = (None, None)
 
     def run(self, z: FloatArray, stage: str) -> Evidence:
@@ -142,6 +145,23 @@ class Search:
             self._correction = known, fit_correction(found, dear)
         correction = self._correction[1]
         return found if correction is None else corrected(found, dear, correction)
+
+    def infer_errors(self, evidence: Evidence) -> Evidence:
+        """The evidence with the errors that were added to the targets' as large as the best run's misfit says (``factor``)."""
+        if not self.settings.infer_errors or self.targets.errors is None or not self.targets.errors.any():
+            return evidence
+        told = np.flatnonzero(evidence.told)
+        row = told[int(np.argmin(evidence.misfit[told]))]
+        p, whitening = evidence.targets, factor(self.targets)
+        self.factor = factor_of_errors(
+            whitening @ evidence.residual[row, :p], whitening @ evidence.jacobian[row, :p],
+            whitening @ whitening.T - self.targets.errors, self.targets.errors,
+        )  # fmt: skip
+        if self.factor.value == 1.0:
+            return evidence
+        self.targets = self.targets.with_errors_times(self.factor.value)
+        self._correction = (None, None)  # it is in the targets' standard deviations
+        return self.evidence()
 
     @property
     def left(self) -> int:

@@ -72,6 +72,13 @@ def command(
             "--discretisation-error/--no-discretisation-error", help="Widen the targets' errors by the scene's own, see tradeoff."
         ),
     ] = True,
+    infer_errors: Annotated[
+        bool,
+        typer.Option(
+            "--infer-errors/--no-infer-errors",
+            help="sequential: discretisation errors are taken for larger than stated where the misfit says so.",
+        ),
+    ] = True,
     overrides: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a key of the scene.")
     ] = None,
@@ -137,7 +144,8 @@ def command(
             raise UsageError("--reference-runs goes with --cheap.")
         budgets = {"max_runs": max_runs or Sought.max_runs, "reference_runs": reference_runs or Sought.reference_runs}
         options: dict[str, Any] = {
-            "box": space, "settings": Sought(**budgets, seed=seed, mcmc=Sampling(ess=ess)), "cheap": cheap or (),
+            "box": space, "cheap": cheap or (),
+            "settings": Sought(**budgets, infer_errors=infer_errors, seed=seed, mcmc=Sampling(ess=ess)),
             "store": root, "workers": workers, "scheduler": scheduler, "fresh": fresh, "retry": retry,
             "discretisation": discretisation, "warm": warm,
         }  # fmt: skip

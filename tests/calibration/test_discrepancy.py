@@ -1,0 +1,62 @@
+"""How much larger the simulator's errors are than stated, by what is left of the misfit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lacli.calibration.sequential.fidelity.discrepancy import factor_of_errors
+from lacli.contracts.targets import Targets
+
+P, D = 60, 5
+
+
+def _left(s: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """A linear model's residual at its best point, with errors s times as large as those stated, and the covariances."""
+    rng = np.random.default_rng(seed)
+    jacobian = 20.0 * rng.normal(size=(P, D))
+    measured, common = np.diag(rng.uniform(0.5, 2.0, P) ** 2), rng.normal(size=(P, 6))
+    added = 0.5 * common @ common.T + np.diag(rng.uniform(0.2, 1.0, P))
+    error = rng.multivariate_normal(np.zeros(P), measured) + s * rng.multivariate_normal(np.zeros(P), added)
+    precision = np.linalg.inv(measured + added)
+    z = -np.linalg.solve(jacobian.T @ precision @ jacobian, jacobian.T @ precision @ error)
+    return error + jacobian @ z, jacobian, measured, added
+
+
+@pytest.mark.parametrize("s", [1.0, 3.0, 6.0])
+def test_the_factor_that_errors_were_drawn_with_is_found(s: float) -> None:
+    found = [factor_of_errors(*_left(s, seed)) for seed in range(40)]
+    value = np.array([f.value for f in found])
+    # of 60 residuals about half tell of the errors, so ln s is known within about .15; errors are never taken for smaller
+    assert np.median(value) == pytest.approx(s, rel=0.12)
+    assert (value >= 1.0).all()
+    # at the end of what is allowed the interval's own end is above it, by a fortieth of the distribution
+    assert np.mean([f.low <= max(s, 1.2) and s <= f.high for f in found]) >= 0.85
+
+
+def test_one_residual_tells_what_the_closed_form_says() -> None:
+    """p = 1, no inputs to speak of, S = 1, A = 1: -ln(1 + s^2) / 2 - r^2 / (2 (1 + s^2)) - (ln s / ln 2)^2 / 2 is highest where
+    s^2 (r^2 - 1 - s^2) / (1 + s^2)^2 = ln s / (ln 2)^2; at s = 2 that is r^2 = 5 + (25 / 4) / ln 2 = 14.017."""
+    r = np.sqrt(5.0 + 6.25 / np.log(2.0))
+    found = factor_of_errors(np.array([r]), np.zeros((1, 1)), np.eye(1), np.eye(1))
+    assert found.value == pytest.approx(2.0, rel=0.01)  # the grid's step
+
+
+def test_what_inputs_can_take_up_tells_nothing() -> None:
+    jacobian = 1e4 * np.eye(2)
+    found = factor_of_errors(np.array([50.0, -80.0]), jacobian, np.eye(2), np.eye(2))
+    assert found.value == 1.0
+
+
+def test_errors_times_a_factor_leave_the_measurement_as_it_is() -> None:
+    targets = Targets(("a", "b"), np.zeros(2), np.array([3.0, 1.0]))
+    wide = targets.widened({"a": 4.0, "b": 2.0}, np.array([[1.0, 0.5], [0.5, 1.0]]))
+    larger = wide.with_errors_times(2.0)
+    # 9 + 4 * 16, 1 + 4 * 4; off the diagonal 4 * .5 * 4 * 2
+    assert larger.covariance == pytest.approx(np.array([[73.0, 16.0], [16.0, 17.0]]))
+    assert larger.sd == pytest.approx(np.sqrt([73.0, 17.0])) and larger.own_sd == pytest.approx([3.0, 1.0])
+    assert larger.added == pytest.approx([8.0, 4.0])
+    assert larger.select(["b"]).errors == pytest.approx(np.array([[16.0]]))
+    assert targets.with_errors_times(2.0) is targets
+    independent = targets.widened({"a": 4.0}).with_errors_times(3.0)
+    assert independent.covariance is None and independent.sd == pytest.approx([np.sqrt(9.0 + 144.0), 1.0])
