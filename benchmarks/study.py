@@ -1,13 +1,14 @@
 """A synthetic study held against its truth: coverage of the 95 % intervals, and what was claimed of regional against global.
 
-    python benchmarks/study.py COHORT STUDY
+    python benchmarks/study.py COHORT STUDY [--errors]
 
 COHORT is what ``lacli synthesize --cohort N --arm ARM`` wrote, STUDY what ``lacli cohort`` made of it. In the heterogeneous
 arm regions that vary about a common level (pooled) should be preferred to one stiffness, in the others (one stiffness
 everywhere) they must not be. That regions differ is claimed of a patient where it is strongly preferred, and of the arm by
 the sum of the patients' log evidence. Regional, with a uniform prior on the box for each region, is told beside it: it pays
 for more than moderate differences. Exit code 1 where a contrast is claimed the wrong way round; coverage is printed beside
-what is asked (93 to 97 %), with its own standard error.
+what is asked (93 to 97 %), with its own standard error. --errors: each patient's scene is also run at the true parameters, and
+what its numerics change of the truth is held against the errors stated for them.
 """
 
 from __future__ import annotations
@@ -21,6 +22,12 @@ import pandas as pd
 
 from lacli.base.documents import read_json
 from lacli.cohort.comparison import GLOBAL, POOLED, REGIONAL, STRONG
+from lacli.contracts.features import parse
+from lacli.contracts.scene import load_scene, with_parameters
+from lacli.contracts.targets import read_targets
+from lacli.mechanics.numerics.stated import with_discretisation
+from lacli.mechanics.results import features_at_times
+from lacli.mechanics.simulation import run_scene
 from lacli.synthetic.cohort import PARTICIPANTS, TRUTHS
 
 
@@ -50,13 +57,41 @@ def claims(study: Path, patients: list[str]) -> pd.DataFrame:
     return pd.DataFrame.from_dict(rows, orient="index")
 
 
+def errors(cohort: Path, patients: list[str]) -> pd.DataFrame:
+    """By patient: the least stiffness, and what its numerics do at the true parameters: of all targets, root mean square of the
+    true over the stated error, share within twice the stated, and chi^2 by their covariance over their number."""
+    rows = {}
+    for name in patients:
+        truth, targets = read_json(cohort / name / "truth.json"), read_targets(cohort / name / "targets.toml")
+        times = sorted({time for feature in targets.names if (time := parse(feature)[1]) is not None})
+        scene = load_scene(cohort / name / "scene.toml", [f"outputs.times={times}"])
+        result = run_scene(with_parameters(scene, truth["parameters"]), cohort / "errors")
+        if result.status != "done":
+            print(f"{name}: {result.message}")
+            continue
+        told = {**result.features, **(features_at_times(result.folder)[0] if times else {})}
+        wide = with_discretisation(targets, scene)[0]
+        assert wide.errors is not None, "the model states errors for all targets"
+        error = np.array([told[feature] - truth["features"][feature] for feature in targets.names])
+        over = error / np.sqrt(np.diag(wide.errors))
+        rows[name] = {
+            "least_alpha": min(v for k, v in truth["parameters"].items() if k.startswith("alpha_")),
+            "rms_over_stated": np.sqrt((over**2).mean()), "within_twice": (np.abs(over) < 2.0).mean(),
+            "chi2_over_number": error @ np.linalg.solve(wide.errors, error) / len(error),
+        }  # fmt: skip
+    return pd.DataFrame.from_dict(rows, orient="index")
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("cohort", type=Path)
     parser.add_argument("study", type=Path)
+    parser.add_argument("--errors", action="store_true")
     choice = parser.parse_args()
     truths = pd.read_csv(choice.cohort / TRUTHS, dtype={"participant_id": str}).set_index("participant_id")
     arm = str(pd.read_csv(choice.cohort / PARTICIPANTS)["arm"].iloc[0])
+    if choice.errors:
+        print(errors(choice.cohort, [str(name) for name in truths.index]).to_string(float_format="{:.2f}".format))
     found = inside(choice.study, truths)
     if found.empty:
         print("no patient is done")

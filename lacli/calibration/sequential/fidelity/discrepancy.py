@@ -1,10 +1,11 @@
 """How much larger the simulator's own errors are than was stated, by the misfit that is left at the best run.
 
 The errors that were added to the targets' (of discretisation) have a scale which holds for most anatomies and motions; that of
-one patient may be larger, and the misfit tells. With the measurement's covariance S, that of the added errors A, and the simulator
-linear about the best run, the residual is normal with covariance S + s^2 A + J P J^T, P that of the prior on the inputs: what
-inputs can take up says nothing of s. ln s has half a normal distribution, of standard deviation ln 2, from 0 up: errors are never
-taken for smaller than stated. The most probable s is used (empirical Bayes; Kennedy and O'Hagan 2001 have the whole term free).
+one patient may be larger, and the misfit tells. With the measurement's covariance S, that of the added errors A, and the
+simulator linear about the best run, the residual is normal with covariance S + s^2 A + J P J^T, P that of the prior on the
+inputs: what inputs can take up says nothing of s, and errors like it stay unseen. ln s has half a normal distribution, of
+standard deviation ln 2, from 0 up: errors are never taken for smaller than stated. The most probable s is used (empirical
+Bayes; Kennedy and O'Hagan 2001 have the whole term free).
 """
 
 from __future__ import annotations
