@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from membranes import INPUTS, OUTPUTS, Membranes, box, respond
 
+from lacli.calibration.sequential.calibration import calibrate_sequentially
 from lacli.calibration.sequential.fidelity.discrepancy import factor_of_errors
+from lacli.calibration.sequential.result import Sequential, document
+from lacli.calibration.sequential.search import Settings
 from lacli.contracts.targets import Targets
+from lacli.inference.runs import RunLog, runs_identity
+from lacli.inference.sampling.posterior import Settings as Sampling
 
 P, D = 60, 5
 
@@ -60,3 +68,31 @@ def test_errors_times_a_factor_leave_the_measurement_as_it_is() -> None:
     assert targets.with_errors_times(2.0) is targets
     independent = targets.widened({"a": 4.0}).with_errors_times(3.0)
     assert independent.covariance is None and independent.sd == pytest.approx([np.sqrt(9.0 + 144.0), 1.0])
+
+
+def _calibrated(folder: Path, infer: bool) -> Sequential:
+    """To targets that no parameters give: off by three times the errors stated for the simulator, by turns."""
+    y = respond(np.array([1.2, 1.8, 6.0]))[0]
+    stated = 0.05
+    off = 3.0 * stated * np.where(np.arange(len(y)) % 2, 1.0, -1.0)
+    targets = Targets(OUTPUTS, y + off, np.full(len(y), 0.03)).widened(dict.fromkeys(OUTPUTS, stated))
+    simulator = Membranes()
+    log = RunLog(folder / "runs.csv", INPUTS, OUTPUTS, runs_identity(simulator, INPUTS, OUTPUTS))
+    settings = Settings(max_runs=40, first_runs=6, mode_runs=4, infer_errors=infer, mcmc=Sampling(ess=300))
+    return calibrate_sequentially(simulator, box(), targets, settings, folder, log)
+
+
+def test_a_posterior_is_wider_where_the_misfit_says_that_errors_are_larger(tmp_path: Path) -> None:
+    taken, stated = (_calibrated(tmp_path / str(infer), infer) for infer in (True, False))
+    assert taken.factor is not None and stated.factor is None
+    # residuals of .15 where .03 was measured: s = sqrt(.15^2 - .03^2) / .05 = 2.9 but for the prior and what inputs take up
+    assert 1.8 < taken.factor.value < 3.2 and taken.factor.low < taken.factor.value < taken.factor.high
+    assert any("times as large as stated" in note for note in taken.notes)
+    assert not any("times as large as stated" in note for note in stated.notes)
+    assert document(taken)["error_factor"]["value"] == taken.factor.value and document(stated)["error_factor"] is None
+    wide = np.array([row["sd"] for row in taken.table]) / np.array([row["sd"] for row in stated.table])
+    # all but the measurement's share of the errors is s times as large
+    assert (wide > 1.5).all() and (wide < 1.1 * taken.factor.value).all()
+    # what is told of each target says so: sd beside its own
+    own = np.array([[row["sd"], row["own_sd"]] for row in taken.fit])
+    assert own[:, 0] == pytest.approx(np.hypot(0.03, taken.factor.value * 0.05)) and own[:, 1] == pytest.approx(0.03)
