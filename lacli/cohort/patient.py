@@ -31,17 +31,22 @@ def read_result(folder: Path) -> Mapping[str, Any]:
 
 def held_against(folder: Path, targets: Targets) -> Targets:
     """The targets as that calibration was held against them: with the discretisation errors that it added. Raises InputError."""
+    result = read_result(folder)
+    times = float((result.get("error_factor") or {}).get("value", 1.0))  # of all that was added to the measurement's errors
+    told = dict(zip(targets.names, np.zeros(len(targets.names)) if targets.added is None else targets.added, strict=True))
     errors = {
-        str(row["feature"]): float(np.sqrt(max(row["sd"] ** 2 - _own_sd(row) ** 2, 0.0))) for row in read_result(folder)["fit"]
+        name: float(np.sqrt(max((row["sd"] ** 2 - _own_sd(row) ** 2) / times**2 - told[name] ** 2, 0.0)))
+        for row in result["fit"]
+        if (name := str(row["feature"])) in told
     }
     if not any(errors.values()):
-        return targets
+        return targets.with_errors_times(times)
     identity = read_json(folder / IDENTITY)
     content = identity.get("content") if isinstance(identity, dict) else None
     order = content.get(_ORDER) if isinstance(content, dict) else None
     if order not in (1, 2):
         raise InputError(f"{folder / IDENTITY}: tells no order of the cells, by which its discretisation errors go together.")
-    return targets.widened(errors, correlation(targets.names, targets.mean, order))
+    return targets.widened(errors, correlation(targets.names, targets.mean, order)).with_errors_times(times)
 
 
 def box_of(folder: Path) -> Box:
@@ -73,10 +78,10 @@ def read_model(folder: Path, targets: Targets, name: str = REGIONAL) -> Model:
             raise UsageError(f"{folder}: was calibrated to {feature}, which the targets given lack; give those it was made to.")
         j = targets.names.index(feature)
         own = _own_sd(row)
-        if not np.allclose([row["target"], own], [targets.mean[j], targets.sd[j]], rtol=1e-9, atol=0):
+        if not np.allclose([row["target"], own], [targets.mean[j], targets.own_sd[j]], rtol=1e-9, atol=0):
             raise UsageError(
                 f"{folder}: was calibrated to {feature} {row['target']:g} ± {own:g}, the targets given say"
-                f" {targets.mean[j]:g} ± {targets.sd[j]:g}; give those it was made to."
+                f" {targets.mean[j]:g} ± {targets.own_sd[j]:g}; give those it was made to."
             )
     features = [str(row["feature"]) for row in result["fit"]]
     box = box_of(folder)

@@ -19,6 +19,7 @@ from lacli.contracts.features import KEYS
 from lacli.contracts.priors import Prior, read_priors
 from lacli.contracts.tables.absent import CODES, is_code
 from lacli.contracts.tables.covariance import read_covariance
+from lacli.contracts.tables.discrepancy import read_discrepancies
 
 # a measurement is not as exact as a billionth of a thousandth of itself, nor worth the name beyond a million times itself
 # (a mean near 0 is what rounding left of nothing: there the unit is the measure)
@@ -97,11 +98,13 @@ def read_targets(path: Path) -> Targets:
 
     Example: ``[targets.esv_ml]``, ``mean = 92.0``, ``sd = 4.6``. ``covariance = "file.npz"`` at the top names the covariance of
     the errors, in the same folder (contracts.tables.covariance); ``[priors.NAME]`` tells what is known of an input
-    (contracts.priors). Raises TableError with the key at fault.
+    (contracts.priors), ``[discrepancy.KIND]`` what the model lacks (contracts.tables.discrepancy). Raises TableError with the key
+    at fault.
     """
     path = Path(path)
     document = read_toml(path, error=TableError, missing="no such targets file. Write a table for each feature with mean and sd")
     priors = read_priors(path, document.pop("priors", None))
+    lacking = document.pop("discrepancy", None)
     tables = document
     if "targets" in document:
         tables = document["targets"]
@@ -123,7 +126,14 @@ def read_targets(path: Path) -> Targets:
     values = np.array(list(found.values()))
     file = document.get("covariance")
     covariance = None if file is None else read_covariance(path, file, list(found), values[:, 1])
-    return Targets(tuple(found), values[:, 0], values[:, 1], covariance, priors)
+    targets = Targets(tuple(found), values[:, 0], values[:, 1], covariance, priors)
+    discrepancy = read_discrepancies(path, lacking, list(found))
+    if discrepancy is None:
+        return targets
+    sd = np.sqrt(np.diag(discrepancy))
+    unit = np.where(sd > 0, sd, 1.0)
+    correlation = discrepancy / np.outer(unit, unit)
+    return targets.widened(dict(zip(found, map(float, sd), strict=True)), correlation)
 
 
 def _target(path: Path, name: str, entry: dict[str, Any]) -> tuple[float, float]:

@@ -95,6 +95,11 @@ def _sequential(result: Mapping[str, Any]) -> tuple[str, list[str]]:
         f" {max(float(result['probability_elsewhere']), 1e-4):.1g} of its probability, by the emulator over the whole box."
     )
     references = ["Marquardt1963", "Morris1993", "ForemanMackey2013"]
+    if (taken := result.get("error_factor")) and taken["value"] > 1.0:
+        text += (
+            f" By the misfit that was left, errors of discretisation were taken for {taken['value']:.2f} times those stated"
+            f" (95 % interval {taken['low']:.2f} to {taken['high']:.2f})."
+        )
     if fidelity := result.get("fidelity"):
         text += (
             f" Of the runs {fidelity['runs']} had the numerics above; the others had cheaper ones and were corrected by these,"

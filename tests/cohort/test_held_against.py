@@ -1,0 +1,32 @@
+"""What a study reads back of a calibration's targets and their errors."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lacli.cohort.patient import held_against
+from lacli.contracts.targets import Targets
+from lacli.mechanics.numerics.error_correlation import correlation
+
+
+def test_a_comparison_is_held_against_what_the_calibration_was(tmp_path: Path) -> None:
+    """Discretisation errors, a discrepancy stated in the targets, and one factor on both."""
+    names = ("n_roof_mm", "n_septum_mm")
+    given = Targets(names, np.array([1.0, 2.0]), np.array([0.3, 0.4])).widened(dict.fromkeys(names, 0.2), np.full((2, 2), 1.0))
+    errors = {"n_roof_mm": 0.1, "n_septum_mm": 0.5}
+    held = given.widened(errors, correlation(names, given.mean, 1)).with_errors_times(2.0)
+    fit = [
+        {"feature": name, "target": m, "sd": s, "own_sd": o}
+        for name, m, s, o in zip(names, given.mean.tolist(), held.sd.tolist(), held.own_sd.tolist(), strict=True)
+    ]
+    result = {"method": "sequential", "fit": fit, "error_factor": {"value": 2.0, "low": 1.5, "high": 3.0}}
+    (tmp_path / "result.json").write_text(json.dumps(result))
+    (tmp_path / "calibration.json").write_text(json.dumps({"content": {"runs.numerics.order": 1}}))
+    found = held_against(tmp_path, given)
+    # of the roof .09 + 4 (.04 + .01), by hand
+    assert found.sd[0] == pytest.approx(np.sqrt(0.29))
+    assert found.covariance == pytest.approx(held.covariance)
