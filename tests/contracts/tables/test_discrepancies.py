@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from lacli.base.errors import TableError
+from lacli.contracts.tables.discrepancy import read_discrepancies
 from lacli.contracts.targets import Targets, read_targets
 
 TARGETS = """
@@ -61,3 +62,10 @@ def test_volumes_are_one_group_and_no_table_changes_nothing(tmp_path: Path) -> N
 def test_a_discrepancy_that_cannot_be_read_is_refused(tmp_path: Path, text: str, words: str) -> None:
     with pytest.raises(TableError, match=words):
         _read(tmp_path, text)
+
+
+def test_without_a_table_nothing_is_lacking(tmp_path: Path) -> None:
+    assert read_discrepancies(tmp_path, None, ("esv_ml",)) is None
+    # esv and the course's volumes are one group
+    found = read_discrepancies(tmp_path, {"volume": {"sd": 2.0, "correlation": 0.0}}, ("esv_ml", "volume_ml@0.2"))
+    assert found == pytest.approx(np.diag([4.0, 4.0]))
