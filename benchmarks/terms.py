@@ -24,7 +24,7 @@ from lacli.contracts.bundle import Bundle
 from lacli.contracts.motion import save_motion
 from lacli.contracts.parameters import parameter_box
 from lacli.contracts.scene import Scene, build_scene, with_parameters
-from lacli.mechanics.numerics.cost import Earlier, expected, price
+from lacli.mechanics.numerics.cost import Earlier, expected, price, slenderness
 from lacli.mechanics.simulation import run_scene
 from lacli.synthetic.atrium import synthesize
 
@@ -89,7 +89,7 @@ def measured(scenes: dict[str, Scene], bundle: Bundle, folder: Path) -> list[Row
         result = run_scene(scene, folder / "runs")
         states[term] = result.kind or result.status
         cost = {name: result.manifest.get(name) for name in ("cpu_s", "peak_memory_mb")}
-        found[term] = Earlier(scene, {**result.features, **cost})
+        found[term] = Earlier(scene, {**result.features, **cost}, slenderness(bundle))
     rows = []
     for term, run in found.items():
         others = [other for name, other in found.items() if name != term and states[name] == "done"]

@@ -4,9 +4,11 @@ The price of a system of n unknowns is known: the wall is thin, so a sparse dire
 n^1.5 (George 1973, SIAM J Numer Anal 10:345), assembly n; with the number of systems a run takes given, it tells CPU seconds
 within 25 % for most runs. Memory is the factors' n log n, near enough n.
 
-How many systems a scene takes is known in the middle only: Newton's method takes some three for the prestrain and eight to
-end-systole where the wall stays smooth, and tens where a soft region at high pressure snaps through, which no number of the
-scene foretells sharply. So the cost is a middle and a range, and finished runs near by narrow it.
+How many systems a scene takes goes with Laplace's measure of the softest region, pressure times radius over thickness times
+stiffness: the strain that the load asks of it. It tells the middle only. Newton's method takes some three for the prestrain and
+eight to end-systole where the wall stays smooth, and tens where a soft region snaps through. Scenes 1 % apart take the same
+number, but what decides it changes over half the inputs' ranges. So the cost is a middle and a range. What finished runs took
+more or less than their middle is taken for a Gaussian process of the inputs, and corrects both.
 
 ``benchmarks/terms.py`` measures prices, factors and what the forecast is worth, ``benchmarks/cost_fit.py`` the coefficients on
 runs that were kept.
@@ -16,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from math import exp, log, sqrt
+from math import exp, log, pi, sqrt
 from statistics import median
 from typing import Any
 
@@ -25,22 +27,21 @@ import numpy as np
 from lacli.base.arrays import FloatArray
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.features import SAME_TIME
+from lacli.contracts.labels import ENDO, REGIONS
 from lacli.contracts.parameters import QUANTITIES, STUDY
 from lacli.contracts.scene import Scene, parameters_of
-from lacli.geometry.tetrahedra import TET10_EDGES
+from lacli.geometry.quadrature import area_vectors
+from lacli.geometry.tetrahedra import TET10_EDGES, boundary_faces, row_keys, volumes
 
 # by order: CPU seconds of a system of 10,000 unknowns, assembly included; the power of n; seconds to begin and end, an unknown
-_SYSTEM = {1: (0.140, 1.267, 1.25e-4), 2: (0.156, 1.306, 7.1e-5)}
+_SYSTEM = {1: (0.087, 1.267, 7.8e-5), 2: (0.116, 1.306, 5.3e-5)}
 _MEMORY_MB = {1: (28.0, 0.0064), 2: (4.3, 0.0103)}  # and for each unknown, by order
-# systems to end-systole, in the middle: exp(a) soft^b edp^c esp^d, soft the least C alpha (kPa) of a region, pressures in mmHg;
-# quadratic cells bend where linear ones are too stiff, and take more
-_SYSTEMS = (0.892, -0.219, 0.067, 0.568)
-_QUADRATIC = 1.36
-_LEAST_EDP = 1.0  # mmHg: below it the prestrain takes its two systems all the same
+# systems to end-systole, in the middle: exp(a) L^b, L Laplace's measure; quadratic cells bend where linear ones are too stiff,
+# and take more
+_SYSTEMS = (1.65, 0.33)
+_QUADRATIC = 1.3
 _UNHELD = 0.7  # of them, without pericardium
-# states before end-systole, by order: systems as (1 + states)^(a - b ln soft), no fewer: a stiff wall is soon at the next state,
-# a soft one gives way between them
-_EARLY = {1: (0.37, 0.53), 2: (0.72, 0.62)}
+_EARLY = 0.29  # states before end-systole: systems as (1 + states) to that power
 _SECOND = (
     1.2  # of the systems to end-systole, for a second way there: the middle of 19 soft walls (benchmarks/branches.py), .7 to 2.7
 )
@@ -50,12 +51,11 @@ _REST = 0.4  # of the whole, for each sweep of springs at rest where the wall re
 # by order: where solving is fast, assembly is what costs
 _SENSITIVITIES, _POINTS_14, _SCRIPT = {1: 1.06, 2: 1.05}, {1: 2.3, 2: 1.3}, {1: 3.0, 2: 3.0}
 _BACKWARD = 3.5  # times the systems
-# runs near by: how near counts (of the box's diagonal units), what a run of the other order counts, runs' worth of the middle
-_NEAR, _OTHER_ORDER, _PRIOR = 0.3, 0.5, 0.25
-# logarithm of what is left unknown: by order without runs near by, what states before end-systole add, with many runs; nine
-# of ten lie from -1.3 to +1.9 of it
-_UNKNOWN, _UNKNOWN_EARLY, _LEFT = {1: 0.30, 2: 0.45}, 0.35, 0.17
-_BELOW, _ABOVE = 1.3, 1.9
+# what a scene's systems are more or less than the middle, as a Gaussian process of its inputs: standard deviation of the
+# logarithm, length (shares of the inputs' ranges), correlation between orders and between anatomies, and what scenes near by
+# do not share, the price of a system included
+_FIELD, _NEAR, _OTHER_ORDER, _OTHER_ANATOMY, _SCATTER = 0.37, 0.5, 0.9, 0.84, 0.18
+_BELOW, _ABOVE = 1.3, 1.9  # nine of ten lie between so many standard deviations
 
 
 @dataclass(frozen=True)
@@ -76,11 +76,13 @@ class Cost:
 
 @dataclass(frozen=True)
 class Earlier:
-    """A finished run: its scene, its features (``unknowns`` among them), CPU seconds and memory; whether it began where another
-    had ended, which tells the machine's speed and not how many systems a run takes."""
+    """A finished run: its scene, its features (``unknowns`` among them), CPU seconds and memory; the slenderness of its wall,
+    None where its anatomy is gone; whether it began where another had ended. Without the first, or warm, it tells the machine's
+    speed and not how many systems a run takes."""
 
     scene: Scene
     features: Mapping[str, Any]
+    slender: Mapping[str, float] | None
     warm: bool = False
 
 
@@ -93,13 +95,30 @@ def unknowns(bundle: Bundle, order: int) -> int:
     return 3 * nodes + corners
 
 
-def softest_kpa(scene: Scene) -> float:
-    """The least C alpha of a region, kPa."""
+def slenderness(bundle: Bundle) -> dict[str, float]:
+    """Radius over thickness of each region that the wall has: of the ball with the cavity's volume; the wall's volume over the
+    area of its endocardium."""
+    tets, points = bundle.tets[:, :4], bundle.points
+    faces, owner = boundary_faces(tets)
+    of_faces, of_cavity = (
+        row_keys(np.sort(rows, axis=1), len(points)) for rows in (faces, bundle.triangles[bundle.tags == ENDO][:, :3])
+    )
+    inside = np.isin(of_faces, of_cavity)
+    area = np.linalg.norm(area_vectors(faces[inside], points).sum(axis=1), axis=1)
+    region, volume = bundle.region[owner[inside]], np.abs(volumes(points, tets))
+    radius = (3000.0 * bundle.cavity_volume_ml() / (4.0 * pi)) ** (1.0 / 3.0)
+    return {
+        name: radius * float(area[region == label].sum() / volume[bundle.region == label].sum())
+        for name, label in REGIONS.items()
+        if (region == label).any()
+    }
+
+
+def laplace(scene: Scene, slender: Mapping[str, float]) -> float:
+    """End-systolic pressure times radius over thickness times C alpha, the greatest of a region: the measure of Laplace's law."""
     regional = dict(zip(STUDY, parameters_of(scene, STUDY), strict=True))
-    return min(
-        value * regional[name.replace("c_", "alpha_").removesuffix("_kpa")]
-        for name, value in regional.items()
-        if name[:2] == "c_"
+    return max(
+        scene.loads.esp_kpa * ratio / (regional[f"c_{name}_kpa"] * regional[f"alpha_{name}"]) for name, ratio in slender.items()
     )
 
 
@@ -109,21 +128,17 @@ def early_states(scene: Scene) -> int:
     return sum(0 < t < es - SAME_TIME for t in outputs.times) if outputs.times else max(1, outputs.frames) - 1
 
 
-def systems(scene: Scene) -> float:
-    """Linear systems that an ordinary scene takes, in the middle, to its last state."""
-    soft = softest_kpa(scene)
-    level, by_soft, by_edp, by_esp = _SYSTEMS
-    count = exp(
-        level + by_soft * log(soft) + by_edp * log(max(scene.loads.edp_mmhg, _LEAST_EDP)) + by_esp * log(scene.loads.esp_mmhg)
-    )
+def systems(scene: Scene, slender: Mapping[str, float]) -> float:
+    """Linear systems that an ordinary scene takes on a wall, in the middle, to its last state."""
+    level, by_load = _SYSTEMS
+    count = exp(level + by_load * log(laplace(scene, slender)))
     if scene.numerics.order == 2:
         count *= _QUADRATIC
     if scene.pericardium.k_peri_kpa_per_um == 0:
         count *= _UNHELD
     outputs = scene.outputs
     second = _SECOND * count * outputs.equilibria
-    by_states, by_states_soft = _EARLY[scene.numerics.order]
-    count *= (1 + early_states(scene)) ** max(0.0, by_states - by_states_soft * log(soft))
+    count *= (1 + early_states(scene)) ** _EARLY
     late = sum(t > scene.motion.es_time for t in outputs.times) if outputs.times else max(4, outputs.frames) * outputs.conduit
     return count + second + _CONDUIT * late
 
@@ -144,53 +159,69 @@ def price(scene: Scene, count: int, solved: float) -> float:
     return cpu * (_SCRIPT[order] if numerics.engine == "script" else 1.0)
 
 
-def ordinary(scene: Scene, count: int) -> tuple[float, float]:
+def ordinary(scene: Scene, count: int, slender: Mapping[str, float]) -> tuple[float, float]:
     """CPU seconds and memory (MB) of an ordinary scene with these terms and ``count`` unknowns, by the constants' machine."""
-    least, each = _MEMORY_MB[scene.numerics.order]
-    return price(scene, count, _all_systems(scene)), least + each * count
+    return price(scene, count, _all_systems(scene, slender)), _memory_mb(scene, count)
 
 
 def expected(scene: Scene, bundle: Bundle, earlier: Iterable[Earlier]) -> Cost:
     """Cost of a scene, from its own numbers and from finished runs: these tell how fast the machine is (seconds against those of
     as many systems), and those near by in the inputs how many systems it takes of what an ordinary scene would."""
-    count = unknowns(bundle, scene.numerics.order)
-    cpu, memory = ordinary(scene, count)
+    count, slender = unknowns(bundle, scene.numerics.order), slenderness(bundle)
     known = [run for run in earlier if all(run.features.get(name) for name in ("unknowns", "cpu_s", "newton_iterations"))]
-    if not known:
-        return _cost(scene, count, cpu, memory, 0, 0.0)
-    here = _inputs(scene)
-    speeds, more, weights, of_memory = [], [], [], []
+    speed, of_memory = _machine(known)
+    more, unknown = _more_systems(scene, known)
+    cpu = price(scene, count, _all_systems(scene, slender) * exp(more)) * speed
+    memory = _memory_mb(scene, count) * of_memory
+    return Cost(count, cpu, memory, len(known), cpu * exp(-_BELOW * unknown), cpu * exp(_ABOVE * unknown))
+
+
+def _machine(known: list[Earlier]) -> tuple[float, float]:
+    """CPU seconds and memory of runs, over those of as many systems and unknowns by the constants' machine; 1 without runs."""
+    speeds, of_memory = [], []
     for run in known:
         size, solved = int(run.features["unknowns"]), float(run.features["newton_iterations"])
-        speeds.append(log(float(run.features["cpu_s"]) / price(run.scene, size, solved)))
-        more.append(log(solved / _all_systems(run.scene)))
-        apart = float(np.linalg.norm(_inputs(run.scene) - here)) / _NEAR
-        same = 1.0 if run.scene.numerics.order == scene.numerics.order else _OTHER_ORDER
-        weights.append(0.0 if run.warm else exp(-0.5 * apart**2) * same)
+        speeds.append(float(run.features["cpu_s"]) / price(run.scene, size, solved))
         if used := run.features.get("peak_memory_mb"):
-            of_memory.append(float(used) / ordinary(run.scene, size)[1])
-    weight = sum(weights)
-    shift = sum(w * m for w, m in zip(weights, more, strict=True)) / (weight + _PRIOR)
-    foretold = price(scene, count, _all_systems(scene) * exp(shift)) * exp(median(speeds))
-    return _cost(scene, count, foretold, memory * (median(of_memory) if of_memory else 1.0), len(known), weight)
+            of_memory.append(float(used) / _memory_mb(run.scene, size))
+    return median(speeds or [1.0]), median(of_memory or [1.0])
 
 
-def _cost(scene: Scene, count: int, cpu: float, memory: float, runs: int, weight: float) -> Cost:
-    """With its range, for runs near by of a weight in all."""
-    blind = _UNKNOWN[scene.numerics.order] ** 2 + (_UNKNOWN_EARLY**2 if early_states(scene) else 0.0)
-    unknown = sqrt(_LEFT**2 + (blind - _LEFT**2) * _PRIOR / (weight + _PRIOR))
-    return Cost(count, cpu, memory, runs, cpu * exp(-_BELOW * unknown), cpu * exp(_ABOVE * unknown))
+def _more_systems(scene: Scene, known: list[Earlier]) -> tuple[float, float]:
+    """Logarithm of how many times the middle's systems a scene takes, by runs near by, and its standard deviation."""
+    telling = [run for run in known if run.slender and not run.warm]
+    scenes = [*(run.scene for run in telling), scene]
+    together = _together(scenes)
+    among, here = together[:-1, :-1] + _SCATTER**2 * np.eye(len(telling)), together[:-1, -1]
+    weights = np.linalg.solve(among, here)
+    solved = [float(run.features["newton_iterations"]) / _all_systems(run.scene, run.slender or {}) for run in telling]
+    return float(weights @ np.log(solved)), sqrt(together[-1, -1] + _SCATTER**2 - float(weights @ here))
 
 
-def _all_systems(scene: Scene) -> float:
+def _together(scenes: list[Scene]) -> FloatArray:
+    """Covariance (n, n) of what scenes take more or less than the middle."""
+    inputs = np.array([scaled_inputs(scene) for scene in scenes])
+    apart = np.sum((inputs[:, None] - inputs[None]) ** 2, axis=2)
+    order = np.array([scene.numerics.order for scene in scenes])
+    anatomy = np.array([str(scene.anatomy.bundle) for scene in scenes])
+    shared = np.where(order[:, None] == order, 1.0, _OTHER_ORDER) * np.where(anatomy[:, None] == anatomy, 1.0, _OTHER_ANATOMY)
+    return np.asarray(_FIELD**2 * np.exp(-0.5 * apart / _NEAR**2) * shared)
+
+
+def _memory_mb(scene: Scene, count: int) -> float:
+    least, each = _MEMORY_MB[scene.numerics.order]
+    return least + each * count
+
+
+def _all_systems(scene: Scene, slender: Mapping[str, float]) -> float:
     """With what the scene's way of finding end-diastole adds: sweeps."""
     strained = scene.loads.edp_mmhg > 0
     if strained and scene.numerics.unloading == "backward":
-        return _BACKWARD * systems(scene)
-    return systems(scene) * (1.0 + _REST * scene.numerics.rest_sweeps * strained)
+        return _BACKWARD * systems(scene, slender)
+    return systems(scene, slender) * (1.0 + _REST * scene.numerics.rest_sweeps * strained)
 
 
-def _inputs(scene: Scene) -> FloatArray:
+def scaled_inputs(scene: Scene) -> FloatArray:
     """The study's inputs as shares of their ranges (14,)."""
     low, high = np.array([QUANTITIES[name].study for name in STUDY], float).T
     return np.asarray((np.array(parameters_of(scene, STUDY)) - low) / (high - low))

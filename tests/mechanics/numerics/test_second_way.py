@@ -189,4 +189,5 @@ def _at(phase: plan.Phase, pressure: float) -> plan.Phase:
 
 
 def test_the_cost_of_a_second_way_is_foretold(ball: Scene) -> None:
-    assert cost.systems(twice(ball)) > 1.5 * cost.systems(ball)
+    wall = {"roof": 10.0}
+    assert cost.systems(twice(ball), wall) > 1.5 * cost.systems(ball, wall)
