@@ -49,7 +49,7 @@ _CONDUIT = 1.5  # systems for each stretch of the conduit
 _UNLOADED, _FRAME = 1.3, 0.05  # factors of the whole; sensitivities of each further frame
 _REST = 0.4  # of the whole, for each sweep of springs at rest where the wall relaxes
 # by order: where solving is fast, assembly is what costs
-_SENSITIVITIES, _POINTS_14, _SCRIPT = {1: 1.06, 2: 1.05}, {1: 2.3, 2: 1.3}, {1: 3.0, 2: 3.0}
+_SENSITIVITIES, _POINTS_14, _SCRIPT = {1: 1.06, 2: 1.05}, {1: 1.8, 2: 1.3}, {1: 2.6, 2: 3.0}
 _BACKWARD = 3.5  # times the systems
 # what a scene's systems are more or less than the middle, as a Gaussian process of its inputs: standard deviation of the
 # logarithm, length (shares of the inputs' ranges), correlation between orders and between anatomies, and what scenes near by
@@ -171,9 +171,9 @@ def expected(scene: Scene, bundle: Bundle, earlier: Iterable[Earlier]) -> Cost:
     known = [run for run in earlier if all(run.features.get(name) for name in ("unknowns", "cpu_s", "newton_iterations"))]
     speed, of_memory = _machine(known)
     more, unknown = _more_systems(scene, known)
-    cpu = price(scene, count, _all_systems(scene, slender) * exp(more)) * speed
-    memory = _memory_mb(scene, count) * of_memory
-    return Cost(count, cpu, memory, len(known), cpu * exp(-_BELOW * unknown), cpu * exp(_ABOVE * unknown))
+    middle = _all_systems(scene, slender) * exp(more)
+    low, cpu, high = (speed * price(scene, count, middle * exp(at * unknown)) for at in (-_BELOW, 0.0, _ABOVE))
+    return Cost(count, cpu, _memory_mb(scene, count) * of_memory, len(known), low, high)
 
 
 def _machine(known: list[Earlier]) -> tuple[float, float]:
