@@ -38,6 +38,11 @@ class Prior:
     lower: float = -math.inf
     upper: float = math.inf
 
+    def table(self) -> dict[str, Any]:
+        """As a targets file has it, which ``read_priors`` reads."""
+        values = {"mean": self.mean, "sd": self.sd, "lower": self.lower, "upper": self.upper}
+        return {"distribution": self.distribution, **{key: value for key, value in values.items() if math.isfinite(value)}}
+
     def log_density(self, x: FloatArray) -> FloatArray:
         """log p (m,) at values x (m,), up to a constant; -inf where it is cut off."""
         inside = (x >= self.lower) & (x <= self.upper)

@@ -168,11 +168,13 @@ def _target(path: Path, name: str, entry: dict[str, Any]) -> tuple[float, float]
 
 
 def write_targets(path: Path, targets: Targets) -> None:
-    """Write the targets as TOML that ``read_targets`` reads."""
-    document = {
+    """Write the targets, and priors of inputs if any, as TOML that ``read_targets`` reads."""
+    document: dict[str, Any] = {
         "targets": {
             name: {"mean": float(mean), "sd": float(sd)}
             for name, mean, sd in zip(targets.names, targets.mean, targets.sd, strict=True)
         }
     }
+    if targets.priors:
+        document["priors"] = {prior.name: prior.table() for prior in targets.priors}
     Path(path).write_text(tomli_w.dumps(document), encoding="utf-8")

@@ -7,6 +7,7 @@ thick there. What a study claims of an arm can so be held against what was put i
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 from collections.abc import Callable, Mapping, Sequence
@@ -24,13 +25,14 @@ from lacli.contracts.bundle import Bundle, check, load, save
 from lacli.contracts.features import at_time, parse
 from lacli.contracts.labels import BODY_REGIONS
 from lacli.contracts.motion import Motion, save_motion
+from lacli.contracts.priors import Prior
 from lacli.contracts.scene import build_scene, dump_scene, with_parameters
 from lacli.contracts.targets import Targets, write_targets
 from lacli.mechanics.results import features_at_times
 from lacli.mechanics.simulation import run_scene
 from lacli.synthetic import kept
 from lacli.synthetic.atrium import synthesize
-from lacli.synthetic.cycle import draw_parameters
+from lacli.synthetic.cycle import LOADS, draw_parameters
 
 Arm = Literal["heterogeneous", "control", "thickness"]
 ARMS: tuple[Arm, ...] = get_args(Arm)
@@ -120,6 +122,7 @@ def _written(folder: Path, seed: int, arm: Arm, atrium: dict[str, Any], targets:
         "finer": FINER,
         "sd_mm": SD_MM,
         "sd_volume": SD_VOLUME,
+        "priors": {name: [low, high] for name, (low, high, _) in LOADS.items()},
     }
     if targets != "published":
         made_from |= {"targets": targets, "sd_strain": SD_STRAIN}
@@ -193,4 +196,6 @@ def _targets(file: Path, features: Mapping[str, float], names: tuple[str, ...], 
     of_unit = {"mm": SD_MM, "mL": SD_VOLUME * features["edv_ml"], "": SD_STRAIN}
     sd = np.array([of_unit[parse(name)[0].unit] for name in names])
     noise = np.random.default_rng([_STREAM, seed, 2]).standard_normal(len(true))
-    write_targets(file, Targets(names, true + sd * noise, sd))
+    # intervals promise something over the prior alone, and stiffness goes with the loads: what these are drawn from is stated
+    priors = tuple(Prior(name, "uniform", math.nan, math.nan, low, high) for name, (low, high, _) in LOADS.items())
+    write_targets(file, Targets(names, true + sd * noise, sd, priors=priors))

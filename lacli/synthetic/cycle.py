@@ -40,6 +40,15 @@ class Cycle:
         return CubicSpline(self.times, self.displacement, axis=0, bc_type="periodic")
 
 
+# of the pressures (mmHg), of the pericardium's stiffness and of where its springs end: uniform, and digits kept
+LOADS = {
+    "edp_mmhg": (5.0, 9.0, 3),
+    "esp_mmhg": (17.0, 24.0, 3),
+    "k_peri_kpa_per_um": (0.0005, 0.002, 6),
+    "pth": (0.6, 0.85, 3),
+}
+
+
 def draw_parameters(seed: int) -> dict[str, float]:
     """Parameters of a seed's atrium, in the middle of the study's ranges: stiffness differs between regions."""
     rng = np.random.default_rng([20260411, seed])
@@ -47,10 +56,7 @@ def draw_parameters(seed: int) -> dict[str, float]:
     alpha = np.exp(rng.uniform(np.log(0.6), np.log(2.2), 5))
     return {
         **{f"alpha_{name}": round(float(value), 4) for name, value in zip(regions, alpha, strict=True)},
-        "edp_mmhg": round(float(rng.uniform(5.0, 9.0)), 3),
-        "esp_mmhg": round(float(rng.uniform(17.0, 24.0)), 3),
-        "k_peri_kpa_per_um": round(float(rng.uniform(0.0005, 0.002)), 6),
-        "pth": round(float(rng.uniform(0.6, 0.85)), 3),
+        **{name: round(float(rng.uniform(low, high)), digits) for name, (low, high, digits) in LOADS.items()},
     }
 
 

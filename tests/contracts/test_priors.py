@@ -10,7 +10,7 @@ from scipy.stats import lognorm, norm
 
 from lacli.base.errors import TableError, UsageError
 from lacli.contracts.priors import Prior, check_priors, log_prior, prior_sd
-from lacli.contracts.targets import read_targets
+from lacli.contracts.targets import read_targets, write_targets
 
 TARGET = "[targets.esv_ml]\nmean = 92.0\nsd = 4.6\n"
 
@@ -44,6 +44,17 @@ def test_priors_stand_beside_the_targets_and_go_with_a_choice_of_them(tmp_path: 
     assert (targets.priors[2].distribution, targets.priors[2].lower, targets.priors[2].upper) == ("uniform", 0.6, 0.9)
     assert targets.select(["esv_ml"]).priors == targets.priors
     assert read(tmp_path, "").priors is None
+
+
+def test_priors_are_written_as_they_are_read(tmp_path: Path) -> None:
+    text = "[priors.edp_mmhg]\nmean = 8.0\nsd = 1.5\nlower = 4.0\n[priors.pth]\nlower = 0.6\nupper = 0.9\n"
+    first = read(tmp_path, text)
+    write_targets(tmp_path / "again.toml", first)
+    again = read_targets(tmp_path / "again.toml").priors
+    assert first.priors is not None and again is not None
+    assert [prior.table() for prior in again] == [prior.table() for prior in first.priors]
+    assert again[1].table() == {"distribution": "uniform", "lower": 0.6, "upper": 0.9}
+    assert (again[0].mean, again[0].sd, again[0].lower) == (8.0, 1.5, 4.0)
 
 
 @pytest.mark.parametrize(

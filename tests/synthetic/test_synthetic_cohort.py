@@ -71,6 +71,12 @@ def test_a_patient_is_what_a_study_reads(tmp_path: Path) -> None:
     sd = dict(zip(targets.names, targets.sd, strict=True))
     assert sd["d_roof_mm"] == 0.35 and sd["esv_ml"] == pytest.approx(0.01 * truth["features"]["edv_ml"])
     truths = pd.read_csv(home / "truths.csv")
+    # what the loads are drawn from is stated with the targets; of stiffness nothing is
+    assert targets.priors is not None
+    assert {p.name: (p.lower, p.upper) for p in targets.priors} == {
+        "edp_mmhg": (5.0, 9.0), "esp_mmhg": (17.0, 24.0), "k_peri_kpa_per_um": (0.0005, 0.002), "pth": (0.6, 0.85)
+    }  # fmt: skip
+    assert all(p.lower <= truths.loc[0, p.name] <= p.upper for p in targets.priors)
     assert truths.loc[0, "alpha_roof"] == drawn_parameters(1, "thickness")["alpha_roof"]
     assert not (home / "sub-01" / "truth_bundle").exists()  # what is calibrated knows nothing of it
     written = (home / "sub-01" / "targets.toml").stat().st_mtime_ns
