@@ -21,6 +21,7 @@ from lacli.contracts.features import kind_of
 
 _CORRELATION = 0.5
 _MOST = 0.99
+_VAGUEST = 1e6  # in any unit of a feature: beyond it nothing is told, and squares are lost beside it
 _OTHER_NAMES = {"esv": "volume"}  # end-systole's volume is one of the course
 
 
@@ -63,6 +64,8 @@ def _numbers(where: str, entry: Mapping[str, Any]) -> tuple[float, float]:
     sd, correlation = map(float, values)
     if sd <= 0:
         raise TableError(f"{where} sd must be positive, found {sd:g}.")
+    if sd > _VAGUEST:
+        raise TableError(f"{where} sd {sd:g} tells nothing. Check the unit.")
     if not 0.0 <= correlation <= _MOST:
         raise TableError(f"{where} correlation must be 0 to {_MOST:g}, found {correlation:g}.")
     return sd, correlation

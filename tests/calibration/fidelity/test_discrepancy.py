@@ -96,3 +96,18 @@ def test_a_posterior_is_wider_where_the_misfit_says_that_errors_are_larger(tmp_p
     # what is told of each target says so: sd beside its own
     own = np.array([[row["sd"], row["own_sd"]] for row in taken.fit])
     assert own[:, 0] == pytest.approx(np.hypot(0.03, taken.factor.value * 0.05)) and own[:, 1] == pytest.approx(0.03)
+
+
+def test_a_measurement_lost_beside_the_added_errors_is_no_failure() -> None:
+    # own errors of a billionth of a millimetre, found as the difference of two covariances of 0.09 mm2: 1e-18 is below rounding
+    p = 6
+    added = 0.09 * (0.5 + 0.5 * np.eye(p))
+    lower = np.linalg.cholesky(added + 1e-18 * np.eye(p))
+    measured = lower @ lower.T - added
+    # six errors of their own, three times as large as the sqrt(0.045) mm that differences have, no inputs to take them up
+    residual = 3.0 * np.sqrt(0.045) * np.array([1.0, -1.0] * 3)
+    found = factor_of_errors(residual, np.zeros((p, 1)), measured, added)
+    # the maximum of -p t - p 9 exp(-2 t) / 2 - (t / ln 2)^2 / 2
+    t = np.linspace(0.0, 3.4, 100_001)
+    expected = np.exp(t[np.argmax(-p * t - 0.5 * p * 9.0 * np.exp(-2.0 * t) - 0.5 * (t / np.log(2.0)) ** 2)])
+    assert found.value == pytest.approx(expected, rel=0.01)

@@ -56,6 +56,7 @@ def test_volumes_are_one_group_and_no_table_changes_nothing(tmp_path: Path) -> N
         ("[discrepancy.n]\ncorrelation = 0.5\n", "needs a finite number for sd, found nothing|found None"),
         ("[discrepancy.n]\nsd = 1\ncorrelation = 1.0\n", "correlation must be 0 to 0.99"),
         ("[discrepancy.n]\nsd = 1\nrho = 0.5\n", "has a key rho"),
+        ("[discrepancy.n]\nsd = 1e200\n", "sd 1e\\+200 tells nothing"),
         ("[discrepancy]\nn = 0.4\n", "needs a table for each group"),
     ],
 )

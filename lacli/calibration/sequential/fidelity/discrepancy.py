@@ -19,6 +19,7 @@ from lacli.base.arrays import FloatArray
 
 _PRIOR_SD = math.log(2.0)  # of ln s: of one anatomy in twenty, errors are four times those stated
 _MOST = 30.0
+_LEAST = 1e-12  # of the added variance: the measurement's is known to no less where it was found as a difference
 _VARIANCE = 1.0 / 12.0  # of an input that is uniform over its range from 0 to 1
 
 
@@ -35,7 +36,7 @@ def factor_of_errors(residual: FloatArray, jacobian: FloatArray, measured: Float
     """s by the residual (p,) and its derivatives (p, d) by inputs from 0 to 1, with the covariances (p, p) of the measurement and
     of the errors that were added, all in the features' units."""
     # in the measurement's standard deviations and the axes of the added errors, all scales are seen at once
-    whitening = np.linalg.inv(np.linalg.cholesky(measured))
+    whitening = np.linalg.inv(np.linalg.cholesky(measured + _LEAST * np.diag(np.diag(added))))
     variance, axes = np.linalg.eigh(whitening @ added @ whitening.T)
     r, slopes = axes.T @ whitening @ residual, axes.T @ whitening @ jacobian
     logs = np.linspace(0.0, math.log(_MOST), 400)
