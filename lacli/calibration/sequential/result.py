@@ -135,9 +135,10 @@ def result_of(
     notes.append(swept.words())
     if search.factor is not None and search.factor.value > _LARGER:
         notes.append(
-            f"the best run's misfit is what errors of discretisation {search.factor.value:.1f} times as large as stated would "
-            f"leave (95 %: {search.factor.low:.1f} - {search.factor.high:.1f}): they were taken for so large, and the posterior "
-            "is wider for it. Finer numerics (--cheap with a scene of quadratic cells) would tell more."
+            f"the best run's misfit is what errors of the model (of discretisation, and discrepancies stated) "
+            f"{search.factor.value:.1f} times as large as stated would leave (95 %: {search.factor.low:.1f} - "
+            f"{search.factor.high:.1f}): they were taken for so large, and the posterior is wider for it. Finer numerics "
+            "(--cheap with a scene of quadratic cells) would tell more."
         )
     table = mcmc.summary(chain, map_x, box, targets.priors)
     notes += unlearned(table)

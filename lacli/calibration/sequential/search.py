@@ -156,6 +156,7 @@ class Search:
         self.factor = factor_of_errors(
             whitening @ evidence.residual[row, :p], whitening @ evidence.jacobian[row, :p],
             whitening @ whitening.T - self.targets.errors, self.targets.errors,
+            (evidence.residual[row, p:], evidence.jacobian[row, p:]),
         )  # fmt: skip
         if self.factor.value == 1.0:
             return evidence

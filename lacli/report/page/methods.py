@@ -97,8 +97,8 @@ def _sequential(result: Mapping[str, Any]) -> tuple[str, list[str]]:
     references = ["Marquardt1963", "Morris1993", "ForemanMackey2013"]
     if (taken := result.get("error_factor")) and taken["value"] > 1.0:
         text += (
-            f" By the misfit that was left, errors of discretisation were taken for {taken['value']:.2f} times those stated"
-            f" (95 % interval {taken['low']:.2f} to {taken['high']:.2f})."
+            " By the misfit that was left, errors of the model (of discretisation, and discrepancies stated) were taken for"
+            f" {taken['value']:.2f} times those stated (95 % interval {taken['low']:.2f} to {taken['high']:.2f})."
         )
     if fidelity := result.get("fidelity"):
         text += (

@@ -56,6 +56,14 @@ def test_what_inputs_can_take_up_tells_nothing() -> None:
     assert found.value == 1.0
 
 
+def test_a_prior_that_forbids_what_inputs_would_take_up_makes_the_misfit_tell() -> None:
+    """The input could take the residual up; its prior of sd 1e-4 about the best point does not: as without inputs."""
+    r = np.array([np.sqrt(5.0 + 6.25 / np.log(2.0))])
+    held = (np.zeros(1), np.array([[1e4]]))
+    assert factor_of_errors(r, np.array([[10.0]]), np.eye(1), np.eye(1)).value < 1.5
+    assert factor_of_errors(r, np.array([[10.0]]), np.eye(1), np.eye(1), held).value == pytest.approx(2.0, rel=0.01)
+
+
 def test_errors_times_a_factor_leave_the_measurement_as_it_is() -> None:
     targets = Targets(("a", "b"), np.zeros(2), np.array([3.0, 1.0]))
     wide = targets.widened({"a": 4.0, "b": 2.0}, np.array([[1.0, 0.5], [0.5, 1.0]]))

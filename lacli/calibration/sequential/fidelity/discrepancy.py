@@ -32,13 +32,23 @@ class Factor:
     high: float
 
 
-def factor_of_errors(residual: FloatArray, jacobian: FloatArray, measured: FloatArray, added: FloatArray) -> Factor:
+def factor_of_errors(
+    residual: FloatArray,
+    jacobian: FloatArray,
+    measured: FloatArray,
+    added: FloatArray,
+    priors: tuple[FloatArray, FloatArray] | None = None,
+) -> Factor:
     """s by the residual (p,) and its derivatives (p, d) by inputs from 0 to 1, with the covariances (p, p) of the measurement and
-    of the errors that were added, all in the features' units."""
+    of the errors that were added, all in the features' units. priors: residual (q,) of those that are not uniform, in their
+    standard deviations, and its derivatives (q, d)."""
     # in the measurement's standard deviations and the axes of the added errors, all scales are seen at once
     whitening = np.linalg.inv(np.linalg.cholesky(measured + _LEAST * np.diag(np.diag(added))))
     variance, axes = np.linalg.eigh(whitening @ added @ whitening.T)
     r, slopes = axes.T @ whitening @ residual, axes.T @ whitening @ jacobian
+    if priors is not None:  # no factor is on them
+        r, slopes = np.concatenate([r, priors[0]]), np.vstack([slopes, priors[1]])
+        variance = np.concatenate([variance, np.zeros(len(priors[0]))])
     logs = np.linspace(0.0, math.log(_MOST), 400)
     value = np.array([_log_density(math.exp(2.0 * t), r, slopes, np.maximum(variance, 0.0)) for t in logs])
     value -= 0.5 * (logs / _PRIOR_SD) ** 2
