@@ -238,10 +238,7 @@ def test_a_calibration_is_told_by_box_targets_settings_and_runs() -> None:
 def test_a_field_that_targets_get_one_day_counts() -> None:
     """A correlation, say: identities walk the fields there are."""
     wider = dataclasses.make_dataclass("Wider", [("correlation", Any, None)], bases=(Targets,), frozen=True)
-    pair = [
-        wider(("v_ml", "d_mm"), TARGETS.mean, TARGETS.sd, None, None, None, None, np.array([[1.0, r], [r, 1.0]]))
-        for r in (0.0, 0.5)
-    ]
+    pair = [wider(("v_ml", "d_mm"), TARGETS.mean, TARGETS.sd, correlation=np.array([[1.0, r], [r, 1.0]])) for r in (0.0, 0.5)]
     one, two = (calibration.calibration_identity(BOX, targets, SETTINGS, None) for targets in pair)
     assert differences(one, two) == ["targets.correlation was [[1.0, 0.0], [0.0, 1.0]], is [[1.0, 0.5], [0.5, 1.0]]"]
 
