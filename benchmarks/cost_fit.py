@@ -6,8 +6,8 @@ RUNS: folders of finished runs, each with its scene, however deep below; left ou
 that sought a second way to end-systole. Told are, by order, CPU seconds against the price of the systems that were solved (the
 machine's speed, and the spread that the form of the price leaves); of the number of systems the robust least squares of its
 logarithm, and the Gaussian process of what it leaves; and how far forecasts are off: systems as the constants
-stand, and as fitted without the bundle that is foretold; CPU seconds by the constants, from the machine's speed alone and from
-ten other runs of the bundle.
+stand, and as fitted without the bundle that is foretold; CPU seconds so too, with the machine's speed as the bundle's runs of the
+order have it in the middle, and by the constants, from that speed alone and from ten other runs of the bundle.
 """
 
 from __future__ import annotations
@@ -143,9 +143,8 @@ def main() -> None:
     walls = {of: bundles.load(Path(of)) for of in groups}
     slender = {of: slenderness(wall) for of, wall in walls.items()}
     group = np.array([groups.index(run.of) for run in runs])
-    weight = 1.0 / np.sqrt(
-        np.bincount(group)[group]
-    )  # runs of a bundle are alike: a hundred do not tell as much as ten times ten
+    # runs of a bundle are alike: a hundred do not tell as much as ten times ten
+    weight = 1.0 / np.sqrt(np.bincount(group)[group])
     speed = np.log([run.cpu_s / price(run.scene, run.unknowns, run.solved) for run in runs])
     solved = np.log([run.solved for run in runs])
     a = design(runs, slender)
@@ -153,12 +152,16 @@ def main() -> None:
     for one in range(len(groups)):
         here = group == one
         left_out[here] = a[here] @ fitted(a[~here], solved[~here], weight[~here])
+    order = np.array([run.scene.numerics.order for run in runs])
+    machine = np.array([np.median(speed[(group == g) & (order == o)]) for g, o in zip(group, order, strict=True)])
+    foretold = np.log([price(run.scene, run.unknowns, math.exp(at)) for run, at in zip(runs, left_out, strict=True)]) + machine
     found = fitted(a, solved, weight)
     by_speed, by_runs = forecasts(runs, walls, slender)
     off = {
         "CPU s, given the systems": speed,
         "systems, by the constants": solved - np.log([systems(run.scene, slender[run.of]) for run in runs]),
         "systems, fitted to other bundles": solved - left_out,
+        "CPU s, fitted to other bundles": np.log([run.cpu_s for run in runs]) - foretold,
         "CPU s, given the machine's speed": by_speed[:, 0],
         f"CPU s, from {_STORE} runs of the bundle": by_runs[:, 0],
     }
@@ -170,7 +173,6 @@ def main() -> None:
         mean = float(w @ v)
         return [mean, float(np.sqrt(w @ (v - mean) ** 2)), 100.0 * float(w @ (np.abs(np.expm1(-v)) <= 0.25))]
 
-    order = np.array([run.scene.numerics.order for run in runs])
     everywhere = {"linear": order == 1, "quadratic": order == 2, "all": order > 0}
     coefficients = dict(zip(COEFFICIENTS, found.tolist(), strict=True))
     rest = dict(zip(PROCESS, process(runs, solved - a @ found).tolist(), strict=True))

@@ -117,13 +117,14 @@ def times_of(names: Sequence[str]) -> tuple[float, ...]:
 
 def _outcome(result: RunResult, errors: dict[str, float], framed: bool) -> Outcome:
     from lacli.inference.runs import Outcome
+    from lacli.mechanics.numerics.equilibria import SPREAD
     from lacli.mechanics.results import features_at_times
     from lacli.mechanics.sensitivities import load_sensitivities
 
     features = result.features if result.status == "done" else {}
     outputs = {k: float(v) for k, v in features.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
     gradients: dict[tuple[str, str], float] = {}
-    es, spread = None, dict(features.get("equilibria_spread") or {})
+    es, spread = None, dict(features.get(SPREAD) or {})
     if features:
         if framed:
             of_frames, es = features_at_times(result.folder)

@@ -20,9 +20,7 @@ from lacli.contracts.sections import Outputs
 from lacli.mechanics.pressure import Pressure
 from lacli.motion.annulus import asked_motion
 
-_PARTS = (
-    4  # of the second way to end-systole: that many find what two, three, eight or a way back do not (benchmarks/branches.py)
-)
+_PARTS = 4  # of the second way to end-systole: that many find what two, three, eight or a way back do not (docs/methods.md)
 
 
 def prepare(scene: Scene) -> Case:

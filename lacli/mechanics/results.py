@@ -23,6 +23,7 @@ from lacli.freefem.files import read_history, read_state
 from lacli.mechanics.features import cell_gradient, regional_extras
 
 FIELDS, HISTORY = "fields", "history.txt"
+EQUILIBRIA = "equilibria"  # the history's line of a second way to end-systole
 OTHER = "es_other"  # among the fields: the equilibrium that was found too
 _RAW = ("txt", "txt.part", "rates", "state", "start")  # endings of what a deck reads and writes
 _STATE = "state_"  # begins a state's line of the history
@@ -78,7 +79,7 @@ def _read(case: Case, folder: Path) -> Results:
     lacking += [name for name in needed if name not in numbers]
     if lacking:
         raise ValueError(f"{HISTORY} lacks {', '.join(lacking)}")
-    found = numbers.get("equilibria", {}).get("found")
+    found = numbers.get(EQUILIBRIA, {}).get("found")
     other = read_state(folder / "other.txt", len(case.bundle.points))[0] if found == 2 else None
     return Results(states, numbers, other)
 

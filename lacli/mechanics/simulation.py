@@ -107,7 +107,7 @@ def _keep(run: OpenRun, case: Case, written: Deck, outcome: Outcome, start: star
     if "sensitivities" in features:
         usage["sensitivities"] = features["sensitivities"]
     if equilibria.FOUND in features:
-        usage["equilibria"] = features[equilibria.FOUND]
+        usage[equilibria.FOUND] = features[equilibria.FOUND]
     if start is not None:
         found = results.read(case, run.folder)
         usage["start"] = starts.statement(start, found)

@@ -28,7 +28,7 @@ from lacli.contracts.case import Case
 from lacli.contracts.identity import content_hash, determinants, flatten
 from lacli.contracts.parameters import QUANTITIES, STUDY
 from lacli.contracts.scene import Scene
-from lacli.mechanics.results import Results
+from lacli.mechanics.results import EQUILIBRIA, Results
 from lacli.mechanics.sensitivities import INPUTS
 
 FOLDER = ".states"
@@ -127,7 +127,7 @@ def keep(case: Case, results: Results, folder: Path, root: Path) -> bool:
     """
     numbers = results.numbers
     stable = all(numbers.get(name, {}).get("unstable") == 0 for name in ("ed_modes", "es_modes"))
-    several = numbers.get("equilibria", {}).get("found", 1) != 1
+    several = numbers.get(EQUILIBRIA, {}).get("found", 1) != 1
     if not stable or several or case.scene.numerics.settle_ed or not (folder / "prestrain.state").is_file():
         return False
     units = np.array(list(INPUTS.values()))[:, None]

@@ -84,7 +84,7 @@ def calibrate_sequentially(
         evidence, components = bridge(search, evidence), None
     map_runs = len(search.x) + len(search.dear)
     evidence = search.infer_errors(evidence)
-    if search.factor is not None and search.factor.value > 1.0:
+    if search.error_factor is not None and search.error_factor.value > 1.0:
         components = None  # they are of residuals in other standard deviations
     known = [_best(evidence)]
     evidence, known, components, swept = _other_modes(

@@ -12,7 +12,7 @@ from lacli.calibration.sequential import branches, modes
 from lacli.calibration.sequential.draw.information import by_group
 from lacli.calibration.sequential.emulator import Components
 from lacli.calibration.sequential.evidence import Evidence, factor
-from lacli.calibration.sequential.fidelity.discrepancy import Factor
+from lacli.calibration.sequential.fidelity.error_factor import ErrorFactor
 from lacli.calibration.sequential.laplace import Laplace
 from lacli.calibration.sequential.outputs import Features
 from lacli.calibration.sequential.search import Search
@@ -51,10 +51,9 @@ class Sequential:
     """The result. map_x (d,) and its chi^2; runs by stage, ``map_runs`` until the most probable point was found; table: summary
     by input; change (d,): how far the emulator's error may still move the posterior's mean, in its sds; minima
     (k, d): the modes found, the best first; sweep: what the check of the box says; notes: what a user must know; left_out:
-    targets that the runs cannot tell (targets: the others); factor: of the errors added to the targets', None
-    where none were; rmse_mm: of the displacements at the most probable point, None
+    targets that the runs cannot tell (targets: the others); rmse_mm: of the displacements at the most probable point, None
     where no target is one; information: by group of targets, what it told at the best run; scores: by target, R2 and ISE of the
-    local emulator at runs left out."""
+    local emulator at runs left out; error_factor: of the errors added to the targets', None where none were."""
 
     box: Box
     targets: Targets
@@ -80,7 +79,7 @@ class Sequential:
     information: list[dict[str, float | str]]
     scores: dict[str, dict[str, float]]
     fidelity: Correcting | None = None
-    factor: Factor | None = None
+    error_factor: ErrorFactor | None = None
 
     @property
     def runs(self) -> int:
@@ -133,12 +132,12 @@ def result_of(
     if fidelity is not None:
         notes.append(fidelity.words())
     notes.append(swept.words())
-    if search.factor is not None and search.factor.value > _LARGER:
+    if (larger := search.error_factor) is not None and larger.value > _LARGER:
         notes.append(
-            f"the best run's misfit is what errors of the model (of discretisation, and discrepancies stated) "
-            f"{search.factor.value:.1f} times as large as stated would leave (95 %: {search.factor.low:.1f} - "
-            f"{search.factor.high:.1f}): they were taken for so large, and the posterior is wider for it. Finer numerics "
-            "(--cheap with a scene of quadratic cells) would tell more."
+            "the best run's misfit is what errors of the model (of discretisation, and discrepancies stated) "
+            f"{larger.value:.1f} times as large as stated would leave (95 %: {larger.low:.1f} - {larger.high:.1f}): they were "
+            "taken for so large, and the posterior is wider for it. Finer numerics (--cheap with a scene of quadratic cells) "
+            "would tell more."
         )
     table = mcmc.summary(chain, map_x, box, targets.priors)
     notes += unlearned(table)
@@ -165,7 +164,7 @@ def result_of(
         moved,
         search.scale.to_x(np.array([mode.centre for mode in known])), swept, chain, fitted, local.held_out, stopped, refused,
         tuple(notes), search.x, float(used["cpu_s"].sum()) + (fidelity.cpu_s if fidelity else 0.0), search.left_out, rmse,
-        by_group(search.told, evidence.x[told], targets, search.scale), scores, fidelity, search.factor,
+        by_group(search.told, evidence.x[told], targets, search.scale), scores, fidelity, search.error_factor,
     )  # fmt: skip
 
 
@@ -217,7 +216,7 @@ def document(result: Sequential) -> dict[str, Any]:
         "converged": result.chain.converged,
         "samples": len(result.chain.flat()), "acceptance": result.chain.acceptance, "fit": result.fit,
         "fidelity": asdict(result.fidelity) if result.fidelity else None,
-        "error_factor": asdict(result.factor) if result.factor else None,
+        "error_factor": asdict(result.error_factor) if result.error_factor else None,
         "rmse_mm": result.rmse_mm, "held_out": result.held_out,
         "verdict": {"plausible": not result.refused, "warnings": [*filter(None, [result.refused]), *result.notes]},
     }  # fmt: skip

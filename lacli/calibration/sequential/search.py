@@ -11,7 +11,7 @@ from lacli.base.arrays import FloatArray
 from lacli.calibration.sequential import branches
 from lacli.calibration.sequential.evidence import Evidence, factor, gather, narrowed
 from lacli.calibration.sequential.fidelity.correction import Correction, corrected, fit_correction, pairs
-from lacli.calibration.sequential.fidelity.discrepancy import Factor, factor_of_errors
+from lacli.calibration.sequential.fidelity.error_factor import ErrorFactor, error_factor
 from lacli.calibration.sequential.scale import Scale
 from lacli.contracts.targets import Targets
 from lacli.inference.box import Box
@@ -88,7 +88,7 @@ class Search:
         self.notes: list[str] = []
         self.strays = self.torn = 0
         self.reference, self.dear = reference, np.empty((0, box.d))
-        self.factor: Factor | None = None
+        self.error_factor: ErrorFactor | None = None
         self._correction: tuple[object, Correction | None] = (None, None)
 
     def run(self, z: FloatArray, stage: str) -> Evidence:
@@ -147,20 +147,20 @@ class Search:
         return found if correction is None else corrected(found, dear, correction)
 
     def infer_errors(self, evidence: Evidence) -> Evidence:
-        """The evidence with the errors that were added to the targets' as large as the best run's misfit says (``factor``)."""
+        """The evidence with the errors that were added to the targets' as large as the best run's misfit says."""
         if not self.settings.infer_errors or self.targets.errors is None or not self.targets.errors.any():
             return evidence
         told = np.flatnonzero(evidence.told)
         row = told[int(np.argmin(evidence.misfit[told]))]
         p, whitening = evidence.targets, factor(self.targets)
-        self.factor = factor_of_errors(
+        self.error_factor = error_factor(
             whitening @ evidence.residual[row, :p], whitening @ evidence.jacobian[row, :p],
             whitening @ whitening.T - self.targets.errors, self.targets.errors,
             (evidence.residual[row, p:], evidence.jacobian[row, p:]),
         )  # fmt: skip
-        if self.factor.value == 1.0:
+        if self.error_factor.value == 1.0:
             return evidence
-        self.targets = self.targets.with_errors_times(self.factor.value)
+        self.targets = self.targets.with_errors_times(self.error_factor.value)
         self._correction = (None, None)  # it is in the targets' standard deviations
         return self.evidence()
 

@@ -76,7 +76,7 @@ def command(
         bool,
         typer.Option(
             "--infer-errors/--no-infer-errors",
-            help="sequential: discretisation errors are taken for larger than stated where the misfit says so.",
+            help="sequential: errors of discretisation, and discrepancies stated, are taken for larger where the misfit says so.",
         ),
     ] = True,
     overrides: Annotated[

@@ -17,12 +17,11 @@ import numpy as np
 from lacli.base.arrays import FloatArray
 from lacli.base.documents import brief
 from lacli.base.errors import TableError
-from lacli.contracts.features import kind_of
+from lacli.contracts.features import KEYS, family, kind_of
 
 _CORRELATION = 0.5
 _MOST = 0.99
 _VAGUEST = 1e6  # in any unit of a feature: beyond it nothing is told, and squares are lost beside it
-_OTHER_NAMES = {"esv": "volume"}  # end-systole's volume is one of the course
 
 
 def read_discrepancies(path: Path, tables: object, names: Sequence[str]) -> FloatArray | None:
@@ -50,8 +49,7 @@ def read_discrepancies(path: Path, tables: object, names: Sequence[str]) -> Floa
 def _groups(name: str) -> tuple[str, ...]:
     """A target's name, its feature's, and its kind."""
     key = name.partition("@")[0]
-    kind = kind_of(key)[0]
-    return name, key, _OTHER_NAMES.get(kind, kind)
+    return name, key, kind_of(family(key) if key in KEYS else key)[0]
 
 
 def _numbers(where: str, entry: Mapping[str, Any]) -> tuple[float, float]:

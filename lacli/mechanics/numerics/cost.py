@@ -42,9 +42,7 @@ _SYSTEMS = (1.65, 0.33)
 _QUADRATIC = 1.3
 _UNHELD = 0.7  # of them, without pericardium
 _EARLY = 0.29  # states before end-systole: systems as (1 + states) to that power
-_SECOND = (
-    1.2  # of the systems to end-systole, for a second way there: the middle of 19 soft walls (benchmarks/branches.py), .7 to 2.7
-)
+_SECOND = 1.2  # of the systems to end-systole, for a second way there: the middle of 19 soft walls, .7 to 2.7
 _CONDUIT = 1.5  # systems for each stretch of the conduit
 _UNLOADED, _FRAME = 1.3, 0.05  # factors of the whole; sensitivities of each further frame
 _REST = 0.4  # of the whole, for each sweep of springs at rest where the wall relaxes

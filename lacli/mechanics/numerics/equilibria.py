@@ -9,10 +9,9 @@ from lacli.anatomy.surface_features import Endocardium
 from lacli.contracts.case import Case
 from lacli.contracts.features import KEYS
 from lacli.mechanics.features import regional_extras
-from lacli.mechanics.results import Results
+from lacli.mechanics.results import EQUILIBRIA, Results
 
-FOUND, SPREAD = "equilibria", "equilibria_spread"
-_LINE = "equilibria"  # of the deck's history
+FOUND, SPREAD = "equilibria", "equilibria_spread"  # of features
 
 
 def told(case: Case, results: Results) -> dict[str, Any]:
@@ -23,9 +22,9 @@ def told(case: Case, results: Results) -> dict[str, Any]:
     of a node between both). ``equilibria_spread``: difference of both by feature, in its unit, 0 where there is one state; absent
     where the second way ends nowhere.
     """
-    if _LINE not in results.numbers:
+    if EQUILIBRIA not in results.numbers:
         return {}
-    line = results.numbers[_LINE]
+    line = results.numbers[EQUILIBRIA]
     found, kept = int(line["found"]), int(line["kept"])
     said: dict[str, Any] = {"found": found, "kept": kept}
     if found:

@@ -24,7 +24,7 @@ _VARIANCE = 1.0 / 12.0  # of an input that is uniform over its range from 0 to 1
 
 
 @dataclass(frozen=True)
-class Factor:
+class ErrorFactor:
     """The most probable s, and the 95 % interval of its posterior distribution."""
 
     value: float
@@ -32,13 +32,13 @@ class Factor:
     high: float
 
 
-def factor_of_errors(
+def error_factor(
     residual: FloatArray,
     jacobian: FloatArray,
     measured: FloatArray,
     added: FloatArray,
     priors: tuple[FloatArray, FloatArray] | None = None,
-) -> Factor:
+) -> ErrorFactor:
     """s by the residual (p,) and its derivatives (p, d) by inputs from 0 to 1, with the covariances (p, p) of the measurement and
     of the errors that were added, all in the features' units. priors: residual (q,) of those that are not uniform, in their
     standard deviations, and its derivatives (q, d)."""
@@ -54,7 +54,7 @@ def factor_of_errors(
     value -= 0.5 * (logs / _PRIOR_SD) ** 2
     share = np.cumsum(np.exp(value - value.max()))
     low, high = np.exp(logs[np.searchsorted(share, [0.025 * share[-1], 0.975 * share[-1]])])
-    return Factor(float(np.exp(logs[int(np.argmax(value))])), float(low), float(high))
+    return ErrorFactor(float(np.exp(logs[int(np.argmax(value))])), float(low), float(high))
 
 
 def _log_density(square: float, r: FloatArray, slopes: FloatArray, variance: FloatArray) -> float:

@@ -9,7 +9,7 @@ import pytest
 from membranes import INPUTS, OUTPUTS, Membranes, box, respond
 
 from lacli.calibration.sequential.calibration import calibrate_sequentially
-from lacli.calibration.sequential.fidelity.discrepancy import factor_of_errors
+from lacli.calibration.sequential.fidelity.error_factor import error_factor
 from lacli.calibration.sequential.result import Sequential, document
 from lacli.calibration.sequential.search import Settings
 from lacli.contracts.targets import Targets
@@ -33,7 +33,7 @@ def _left(s: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
 
 @pytest.mark.parametrize("s", [1.0, 3.0, 6.0])
 def test_the_factor_that_errors_were_drawn_with_is_found(s: float) -> None:
-    found = [factor_of_errors(*_left(s, seed)) for seed in range(40)]
+    found = [error_factor(*_left(s, seed)) for seed in range(40)]
     value = np.array([f.value for f in found])
     # of 60 residuals about half tell of the errors, so ln s is known within about .15; errors are never taken for smaller
     assert np.median(value) == pytest.approx(s, rel=0.12)
@@ -46,13 +46,13 @@ def test_one_residual_tells_what_the_closed_form_says() -> None:
     """p = 1, no inputs to speak of, S = 1, A = 1: -ln(1 + s^2) / 2 - r^2 / (2 (1 + s^2)) - (ln s / ln 2)^2 / 2 is highest where
     s^2 (r^2 - 1 - s^2) / (1 + s^2)^2 = ln s / (ln 2)^2; at s = 2 that is r^2 = 5 + (25 / 4) / ln 2 = 14.017."""
     r = np.sqrt(5.0 + 6.25 / np.log(2.0))
-    found = factor_of_errors(np.array([r]), np.zeros((1, 1)), np.eye(1), np.eye(1))
+    found = error_factor(np.array([r]), np.zeros((1, 1)), np.eye(1), np.eye(1))
     assert found.value == pytest.approx(2.0, rel=0.01)  # the grid's step
 
 
 def test_what_inputs_can_take_up_tells_nothing() -> None:
     jacobian = 1e4 * np.eye(2)
-    found = factor_of_errors(np.array([50.0, -80.0]), jacobian, np.eye(2), np.eye(2))
+    found = error_factor(np.array([50.0, -80.0]), jacobian, np.eye(2), np.eye(2))
     assert found.value == 1.0
 
 
@@ -60,8 +60,8 @@ def test_a_prior_that_forbids_what_inputs_would_take_up_makes_the_misfit_tell() 
     """The input could take the residual up; its prior of sd 1e-4 about the best point does not: as without inputs."""
     r = np.array([np.sqrt(5.0 + 6.25 / np.log(2.0))])
     held = (np.zeros(1), np.array([[1e4]]))
-    assert factor_of_errors(r, np.array([[10.0]]), np.eye(1), np.eye(1)).value < 1.5
-    assert factor_of_errors(r, np.array([[10.0]]), np.eye(1), np.eye(1), held).value == pytest.approx(2.0, rel=0.01)
+    assert error_factor(r, np.array([[10.0]]), np.eye(1), np.eye(1)).value < 1.5
+    assert error_factor(r, np.array([[10.0]]), np.eye(1), np.eye(1), held).value == pytest.approx(2.0, rel=0.01)
 
 
 def test_errors_times_a_factor_leave_the_measurement_as_it_is() -> None:
@@ -92,18 +92,18 @@ def _calibrated(folder: Path, infer: bool) -> Sequential:
 
 def test_a_posterior_is_wider_where_the_misfit_says_that_errors_are_larger(tmp_path: Path) -> None:
     taken, stated = (_calibrated(tmp_path / str(infer), infer) for infer in (True, False))
-    assert taken.factor is not None and stated.factor is None
+    assert taken.error_factor is not None and stated.error_factor is None
     # residuals of .15 where .03 was measured: s = sqrt(.15^2 - .03^2) / .05 = 2.9 but for the prior and what inputs take up
-    assert 1.8 < taken.factor.value < 3.2 and taken.factor.low < taken.factor.value < taken.factor.high
+    assert 1.8 < taken.error_factor.value < 3.2 and taken.error_factor.low < taken.error_factor.value < taken.error_factor.high
     assert any("times as large as stated" in note for note in taken.notes)
     assert not any("times as large as stated" in note for note in stated.notes)
-    assert document(taken)["error_factor"]["value"] == taken.factor.value and document(stated)["error_factor"] is None
+    assert document(taken)["error_factor"]["value"] == taken.error_factor.value and document(stated)["error_factor"] is None
     wide = np.array([row["sd"] for row in taken.table]) / np.array([row["sd"] for row in stated.table])
     # all but the measurement's share of the errors is s times as large
-    assert (wide > 1.5).all() and (wide < 1.1 * taken.factor.value).all()
+    assert (wide > 1.5).all() and (wide < 1.1 * taken.error_factor.value).all()
     # what is told of each target says so: sd beside its own
     own = np.array([[row["sd"], row["own_sd"]] for row in taken.fit])
-    assert own[:, 0] == pytest.approx(np.hypot(0.03, taken.factor.value * 0.05)) and own[:, 1] == pytest.approx(0.03)
+    assert own[:, 0] == pytest.approx(np.hypot(0.03, taken.error_factor.value * 0.05)) and own[:, 1] == pytest.approx(0.03)
 
 
 def test_a_measurement_lost_beside_the_added_errors_is_no_failure() -> None:
@@ -114,7 +114,7 @@ def test_a_measurement_lost_beside_the_added_errors_is_no_failure() -> None:
     measured = lower @ lower.T - added
     # six errors of their own, three times as large as the sqrt(0.045) mm that differences have, no inputs to take them up
     residual = 3.0 * np.sqrt(0.045) * np.array([1.0, -1.0] * 3)
-    found = factor_of_errors(residual, np.zeros((p, 1)), measured, added)
+    found = error_factor(residual, np.zeros((p, 1)), measured, added)
     # the maximum of -p t - p 9 exp(-2 t) / 2 - (t / ln 2)^2 / 2
     t = np.linspace(0.0, 3.4, 100_001)
     expected = np.exp(t[np.argmax(-p * t - 0.5 * p * 9.0 * np.exp(-2.0 * t) - 0.5 * (t / np.log(2.0)) ** 2)])
