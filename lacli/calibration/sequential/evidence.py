@@ -57,6 +57,12 @@ class Evidence:
         """Which runs are the reference's own (n,), told by no correction."""
         return np.ones(len(self.z), bool) if self.dear is None else self.dear
 
+    @property
+    def best(self) -> int:
+        """The row of the lowest misfit among runs that tell derivatives; of the reference's own, where one does."""
+        told = self.told & self.own if (self.told & self.own).any() else self.told
+        return int(np.argmin(np.where(told, self.misfit, np.inf)))
+
     def take(self, rows: IntArray | list[int] | BoolArray) -> Evidence:
         """Some of the runs."""
         return replace(

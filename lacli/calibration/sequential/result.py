@@ -104,7 +104,7 @@ def result_of(
     # the run at the answer, but for the emulator's error there
     row = int(np.argmin(np.where(evidence.own, evidence.misfit, np.inf)))
     misfit, map_x = float(evidence.chi2[row]), evidence.x[row]
-    told = int(np.argmin(np.where(evidence.told & evidence.own, evidence.misfit, np.inf)))
+    told = evidence.best
     frame = search.told.frame(evidence.x[row][None])
     nearest = frame[list(targets.names)].to_numpy(float)[0]
     features = Features(local, search.scale, targets, targets.names)

@@ -150,8 +150,8 @@ class Search:
         """The evidence with the errors that were added to the targets' as large as the best run's misfit says."""
         if not self.settings.infer_errors or self.targets.errors is None or not self.targets.errors.any():
             return evidence
-        told = np.flatnonzero(evidence.told)
-        row = told[int(np.argmin(evidence.misfit[told]))]
+        # a correction's own error is no error of the model's: the factor is read off a run that none told
+        row = evidence.best
         p, whitening = evidence.targets, factor(self.targets)
         self.error_factor = error_factor(
             whitening @ evidence.residual[row, :p], whitening @ evidence.jacobian[row, :p],

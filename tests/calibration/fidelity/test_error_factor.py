@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,10 @@ import pytest
 from membranes import INPUTS, OUTPUTS, Membranes, box, respond
 
 from lacli.calibration.sequential.calibration import calibrate_sequentially
+from lacli.calibration.sequential.evidence import Evidence
 from lacli.calibration.sequential.fidelity.error_factor import error_factor
 from lacli.calibration.sequential.result import Sequential, document
-from lacli.calibration.sequential.search import Settings
+from lacli.calibration.sequential.search import Search, Settings
 from lacli.contracts.targets import Targets
 from lacli.inference.runs import RunLog, runs_identity
 from lacli.inference.sampling.posterior import Settings as Sampling
@@ -119,3 +121,30 @@ def test_a_measurement_lost_beside_the_added_errors_is_no_failure() -> None:
     t = np.linspace(0.0, 3.4, 100_001)
     expected = np.exp(t[np.argmax(-p * t - 0.5 * p * 9.0 * np.exp(-2.0 * t) - 0.5 * (t / np.log(2.0)) ** 2)])
     assert found.value == pytest.approx(expected, rel=0.01)
+
+
+def test_the_factor_is_read_off_a_run_of_the_reference_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two runs: a cheap one, which its correction puts onto the targets, and the reference's own, off by what makes s = 2."""
+    targets = Targets(("a",), np.zeros(1), np.ones(1)).widened({"a": 1.0})
+    simulator = Membranes()
+    log = RunLog(tmp_path / "runs.csv", INPUTS, OUTPUTS, runs_identity(simulator, INPUTS, OUTPUTS))
+    search = Search(simulator, box(), targets, Settings(), log, lambda status: None)
+    # the residual of the closed form above, in standard deviations of sqrt(1 + 1); no input moves it
+    residual = np.array([[0.0], [np.sqrt((5.0 + 6.25 / np.log(2.0)) / 2.0)]])
+    x = np.array([[1.0, 1.0, 5.0], [1.2, 1.8, 6.0]])
+    evidence = Evidence(
+        x,
+        search.scale.to_z(x),
+        residual,
+        np.zeros((2, 1, 3)),
+        np.empty((0, 3)),
+        1,
+        np.zeros((2, 1)),
+        dear=np.array([False, True]),
+    )
+    search.infer_errors(evidence)
+    assert search.error_factor is not None and search.error_factor.value == pytest.approx(2.0, rel=0.01)
+    assert evidence.best == 1 and replace(evidence, dear=None).best == 0
+    # where none of the reference's own tells derivatives, the best that does
+    untold = np.array([[[0.0, 0.0, 0.0]], [[np.nan, 0.0, 0.0]]])
+    assert replace(evidence, jacobian=untold).best == 0

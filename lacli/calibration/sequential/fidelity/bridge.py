@@ -20,8 +20,7 @@ PAIR = 2  # runs of the reference at a time, which two workers make in the time 
 
 def bridge(search: Search, evidence: Evidence) -> Evidence:
     """The evidence of all runs, corrected. Raises LacliError where too few runs of the reference finish with derivatives."""
-    told = np.flatnonzero(evidence.told)
-    row = told[int(np.argmin(evidence.misfit[told]))]
+    row = evidence.best
     there = Laplace.at(evidence.z[row], evidence.residual[row], evidence.jacobian[row])
     rng = np.random.default_rng([search.settings.seed, 3])
     first = [evidence.z[row], *there.draw(_TRIES, 1.0, rng)]
