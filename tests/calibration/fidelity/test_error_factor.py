@@ -132,16 +132,9 @@ def test_the_factor_is_read_off_a_run_of_the_reference_itself(tmp_path: Path, mo
     # the residual of the closed form above, in standard deviations of sqrt(1 + 1); no input moves it
     residual = np.array([[0.0], [np.sqrt((5.0 + 6.25 / np.log(2.0)) / 2.0)]])
     x = np.array([[1.0, 1.0, 5.0], [1.2, 1.8, 6.0]])
-    evidence = Evidence(
-        x,
-        search.scale.to_z(x),
-        residual,
-        np.zeros((2, 1, 3)),
-        np.empty((0, 3)),
-        1,
-        np.zeros((2, 1)),
-        dear=np.array([False, True]),
-    )
+    still, none = np.zeros((2, 1, 3)), np.zeros((2, 1))
+    evidence = Evidence(x, search.scale.to_z(x), residual, still, np.empty((0, 3)), 1, none, dear=np.array([False, True]))
+    monkeypatch.setattr(search, "evidence", lambda: evidence)
     search.infer_errors(evidence)
     assert search.error_factor is not None and search.error_factor.value == pytest.approx(2.0, rel=0.01)
     assert evidence.best == 1 and replace(evidence, dear=None).best == 0
