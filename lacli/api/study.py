@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -42,18 +42,22 @@ def compare(
 
     patient: the folder of a calibration, targets: what it was made to. others: name -> the calibration to the same targets on
     another anatomy, such as one of uniform thickness. Emulators stand for runs: nothing is simulated. particles: of the
-    sampler, at least 100. Evidences have no units, misfits are in mm. Raises InputError, UsageError, Cancelled.
+    sampler, at least 100. Targets that one of the calibrations left out are left out for all, with a word among the warnings.
+    Evidences have no units, misfits are in mm. Raises InputError, UsageError, Cancelled.
     """
     from lacli.api.progress import Stage
     from lacli.base.threads import one_thread
     from lacli.cohort import comparison
-    from lacli.cohort.patient import held_against, read_model
+    from lacli.cohort.patient import held_against, read_model, shared
     from lacli.contracts.targets import read_targets
 
     if particles < 100:
         raise UsageError(f"compare: {particles} particles; at least 100.")
     wanted = read_targets(targets)
-    regional = read_model(patient, wanted)
+    read = [(patient, read_model(patient, wanted))]
+    read += [(folder, read_model(folder, wanted, name)) for name, folder in (others or {}).items()]
+    features, words = shared(read)
+    regional, *rest = (replace(model, emulators=model.emulators.select(features)) for _, model in read)
     held = held_against(patient, wanted)
     regions = comparison.tied_regions(regional.box.names)
     models = [
@@ -63,17 +67,16 @@ def compare(
     ]
     if tied:
         models.append(comparison.Model("tied", regional.emulators, regional.box, tuple(map(tuple, tied))))
-    for name, folder in (others or {}).items():
-        if name in [m.name for m in models]:
-            raise UsageError(f"compare: two models are named {name}.")
-        models.append(read_model(folder, wanted, name))
+    for model in rest:
+        if model.name in [m.name for m in models]:
+            raise UsageError(f"compare: two models are named {model.name}.")
+        models.append(model)
     for model in models:
         comparison.reduced(model)
-        if set(model.emulators.outputs) != set(regional.emulators.outputs):
-            raise UsageError(f"compare: {model.name} was calibrated to other features than {patient}.")
     with one_thread():
         stage = Stage("comparison", 4 * len(models), progress, cancel).begin()
-        return comparison.compare(models, held, particles, seed, stage.step)
+        found = comparison.compare(models, held, particles, seed, stage.step)
+    return replace(found, warnings=(words, *found.warnings)) if words else found
 
 
 def stats(

@@ -20,6 +20,7 @@ import numpy as np
 from lacli.base import quiet
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import UsageError
+from lacli.calibration.sequential.draw.likelihood import Decorrelated
 from lacli.calibration.sequential.evidence import narrowed
 from lacli.calibration.sequential.outputs import Features
 from lacli.cohort.evidence import evidence
@@ -30,7 +31,7 @@ from lacli.contracts.targets import Targets
 from lacli.inference.box import Box, make_box
 from lacli.inference.emulation.emulator_set import AnyEmulators
 from lacli.inference.sampling.coverage import check_coverage
-from lacli.inference.sampling.likelihood import gaussian_log_likelihood
+from lacli.inference.sampling.likelihood import ByFeature, Likelihood
 
 REGIONAL, GLOBAL, POOLED = "regional", "global", "pooled"
 STRONG = 3.0  # of the difference of log evidences: odds of 20 to 1
@@ -159,20 +160,18 @@ def reduced(model: Model) -> tuple[Box, Callable[[FloatArray], FloatArray]]:
 def _fit(model: Model, targets: Targets, particles: int, seed: int, tick: Callable[[], None]) -> tuple[Fit, list[str]]:
     box, lift = reduced(replace(model, box=narrowed(model.box, targets)))
 
-    def log_likelihood(x: FloatArray) -> FloatArray:
-        full = lift(x)
-        before = log_prior(targets.priors, model.box.names, full)
-        return gaussian_log_likelihood(*model.emulators.predict_truth(full), targets) + before
+    likelihood = _likelihood(model.emulators, targets)
 
-    found = evidence(log_likelihood, box, particles, seed=seed, tick=tick)
+    def told(full: FloatArray) -> FloatArray:
+        return likelihood(full) + log_prior(targets.priors, model.box.names, full)
+
+    found = evidence(lambda x: told(lift(x)), box, particles, seed=seed, tick=tick)
     points = lift(found.draws)
-    mean, variance = model.emulators.predict_truth(points)
-    pointwise = pointwise_log_likelihood(mean, variance, targets)
-    elpd, elpd_se, p_loo, worst = _loo(pointwise)
+    mean, _ = model.emulators.predict_truth(points)
+    elpd, elpd_se, p_loo, worst = _loo(likelihood.pointwise(points))
     in_mm = np.array([name.partition("@")[0].endswith("_mm") for name in targets.names])
     rmse = np.sqrt(((mean - targets.mean)[:, in_mm] ** 2).mean(axis=1)) if in_mm.any() else np.full(len(mean), np.nan)
-    before = log_prior(targets.priors, model.box.names, points)
-    best = int(np.argmax(gaussian_log_likelihood(mean, variance, targets) + before))
+    best = int(np.argmax(told(points)))
     said = []
     if words := check_coverage(model.box, model.emulators.training_inputs(), points).words():
         said.append(f"{model.name}: {words}")
@@ -187,20 +186,8 @@ def _fit(model: Model, targets: Targets, particles: int, seed: int, tick: Callab
     return fit, said
 
 
-def pointwise_log_likelihood(mean: FloatArray, variance: FloatArray, targets: Targets) -> FloatArray:
-    """log p(y_j | y_-j, x) (m, p): with independent errors that of each target alone."""
-    if targets.covariance is None:
-        total = variance + targets.sd**2
-        independent: FloatArray = -0.5 * ((mean - targets.mean) ** 2 / total + np.log(2 * np.pi * total))
-        return independent
-    p = len(targets.mean)
-    total = np.repeat(targets.covariance[None], len(mean), axis=0)
-    total[:, np.arange(p), np.arange(p)] += variance
-    inverse = np.linalg.inv(total)
-    precision = inverse[:, np.arange(p), np.arange(p)]
-    g = np.einsum("mij,mj->mi", inverse, targets.mean - mean)
-    conditional: FloatArray = -0.5 * (g**2 / precision - np.log(precision) + np.log(2 * np.pi))
-    return conditional
+def _likelihood(emulators: AnyEmulators | Features, targets: Targets) -> Likelihood:
+    return Decorrelated.of(emulators, targets) if isinstance(emulators, Features) else ByFeature(emulators, targets)
 
 
 def _loo(pointwise: FloatArray) -> tuple[float, float, float, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +30,14 @@ def read_result(folder: Path) -> Mapping[str, Any]:
 
 
 def held_against(folder: Path, targets: Targets) -> Targets:
-    """The targets as that calibration was held against them: with the discretisation errors that it added. Raises InputError."""
+    """The targets as that calibration was held against them: with the discretisation errors that it added. Raises InputError.
+
+    Those that it left out (of frames whose states the runs do not settle) are left out here too: no error that they would need is
+    known, so that they would count for more than all others, and the runs do not foretell them.
+    """
     result = read_result(folder)
+    features = {str(row["feature"]) for row in result["fit"]}
+    targets = targets.select([name for name in targets.names if name in features])
     times = float((result.get("error_factor") or {}).get("value", 1.0))  # of all that was added to the measurement's errors
     told = dict(zip(targets.names, np.zeros(len(targets.names)) if targets.added is None else targets.added, strict=True))
     errors = {
@@ -64,6 +70,30 @@ def box_of(folder: Path) -> Box:
 def _own_sd(row: Mapping[str, Any]) -> float:
     """The measurement's own sd; of calibrations that added nothing, sd."""
     return float(row.get("own_sd", row["sd"]))
+
+
+def shared(read: Sequence[tuple[Path, Model]]) -> tuple[tuple[str, ...], str]:
+    """The features that the models of all these calibrations foretell, and a word on those that one of them left out.
+
+    Evidences of different targets cannot be held against each other: what one model does not foretell, none is held against.
+    Raises UsageError where a calibration was made to other features than the first, or nothing is left.
+    """
+    out = [set(map(str, read_result(folder).get("targets_left_out") or ())) for folder, _ in read]
+    given = [left | set(model.emulators.outputs) for left, (_, model) in zip(out, read, strict=True)]
+    for (_, model), features in zip(read, given, strict=True):
+        if features != given[0]:
+            raise UsageError(f"compare: {model.name} was calibrated to other features than {read[0][0]}.")
+    lost = set().union(*out)
+    names = tuple(name for name in read[0][1].emulators.outputs if name not in lost)
+    if not names:
+        raise UsageError("compare: of every target one of the calibrations says that its runs do not tell it; nothing is left.")
+    if not lost:
+        return names, ""
+    whose = ", ".join(model.name for left, (_, model) in zip(out, read, strict=True) if left)
+    return names, (
+        f"{len(lost)} targets are held against no model: the calibration of {whose} left them out, as its runs do not tell them"
+        f" ({', '.join(sorted(lost)[:3])}{' ...' if len(lost) > 3 else ''})."
+    )
 
 
 def read_model(folder: Path, targets: Targets, name: str = REGIONAL) -> Model:

@@ -18,7 +18,7 @@ from lacli.base.notes import note
 from lacli.contracts.features import KEYS
 from lacli.contracts.priors import Prior, read_priors
 from lacli.contracts.tables.absent import CODES, is_code
-from lacli.contracts.tables.covariance import read_covariance
+from lacli.contracts.tables.covariance import read_covariance, write_covariance
 from lacli.contracts.tables.discrepancy import read_discrepancies
 
 # a measurement is not as exact as a billionth of a thousandth of itself, nor worth the name beyond a million times itself
@@ -168,13 +168,23 @@ def _target(path: Path, name: str, entry: dict[str, Any]) -> tuple[float, float]
 
 
 def write_targets(path: Path, targets: Targets) -> None:
-    """Write the targets, and priors of inputs if any, as TOML that ``read_targets`` reads."""
-    document: dict[str, Any] = {
-        "targets": {
-            name: {"mean": float(mean), "sd": float(sd)}
-            for name, mean, sd in zip(targets.names, targets.mean, targets.sd, strict=True)
-        }
+    """Write the targets, and priors of inputs if any, as TOML that ``read_targets`` reads; a covariance as the file
+    ``<name>_covariance.npz`` beside it, which it names.
+
+    Raises TableError of targets to which errors were added: a file has the measurement's own, and states what the model lacks by
+    kinds of features.
+    """
+    path = Path(path)
+    if targets.errors is not None and targets.errors.any():
+        raise TableError(f"{path}: errors were added to these targets. Write them as measured, and [discrepancy.KIND] by hand.")
+    document: dict[str, Any] = {}
+    if targets.covariance is not None:
+        document["covariance"] = f"{path.stem}_covariance.npz"
+        write_covariance(path.with_name(document["covariance"]), targets.names, targets.covariance)
+    document["targets"] = {
+        name: {"mean": float(mean), "sd": float(sd)}
+        for name, mean, sd in zip(targets.names, targets.mean, targets.sd, strict=True)
     }
     if targets.priors:
         document["priors"] = {prior.name: prior.table() for prior in targets.priors}
-    Path(path).write_text(tomli_w.dumps(document), encoding="utf-8")
+    path.write_text(tomli_w.dumps(document), encoding="utf-8")

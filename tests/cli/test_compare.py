@@ -94,6 +94,40 @@ def test_what_does_not_belong_together_is_refused(tmp_path: Path, targets: Targe
         lacli.compare(folder, tmp_path / "t.toml")
 
 
+def _left_out(folder: Path, names: set[str]) -> None:
+    """The calibration's result as it is where runs do not tell these targets."""
+    result = json.loads((folder / "result.json").read_text())
+    fit = [row for row in result["fit"] if row["feature"] not in names]
+    (folder / "result.json").write_text(json.dumps(result | {"fit": fit, "targets_left_out": sorted(names)}))
+
+
+def test_targets_that_a_calibration_left_out_are_left_out_for_all_with_a_word(tmp_path: Path, targets: Targets) -> None:
+    folder, other = _patient(tmp_path / "p", targets), _patient(tmp_path / "u", targets)
+    write_targets(tmp_path / "t.toml", targets)
+    whole = lacli.compare(folder, tmp_path / "t.toml", particles=100, others={"uniform": other})
+    assert not any("left" in words for words in whole.warnings)
+    _left_out(other, {OUTPUTS[4]})
+    some = lacli.compare(folder, tmp_path / "t.toml", particles=100, others={"uniform": other})
+    assert some.warnings[0] == (
+        "1 targets are held against no model: the calibration of uniform left them out, as its runs do not tell them (d_roof_mm)."
+    )
+    # both calibrations are of one simulator: what they say of four targets is the same
+    fits = {fit.name: fit for fit in some.fits}
+    se = np.hypot(fits["regional"].log_evidence_se, fits["uniform"].log_evidence_se)
+    assert fits["uniform"].log_evidence == pytest.approx(fits["regional"].log_evidence, abs=4 * se)
+    # and a target less, of which a region of its own explains all but 1 / (2 mm * 3.5), is worth the logarithm of that
+    difference = fits["regional"].log_evidence - whole.fits[0].log_evidence
+    assert difference == pytest.approx(np.log(2 * 3.5), abs=4 * se + 0.1)
+    _left_out(folder, set(OUTPUTS[:4]))
+    with pytest.raises(UsageError, match="nothing is left"):
+        lacli.compare(folder, tmp_path / "t.toml", others={"uniform": other})
+    _left_out(other, set(OUTPUTS[:2]))
+    document = json.loads((other / "result.json").read_text())
+    (other / "result.json").write_text(json.dumps(document | {"targets_left_out": []}))
+    with pytest.raises(UsageError, match="uniform was calibrated to other features"):
+        lacli.compare(folder, tmp_path / "t.toml", others={"uniform": other})
+
+
 @pytest.mark.parametrize("option", [["--tie", "alpha_roof"], ["--tie", "a="], ["--other", "uniform"], ["--other", "=x"]])
 def test_options_are_read_before_anything_runs(tmp_path: Path, option: list[str]) -> None:
     shown = CliRunner().invoke(main.build({"compare"}), ["compare", str(tmp_path), "--targets", "t.toml", *option])

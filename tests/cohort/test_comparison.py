@@ -12,7 +12,7 @@ from scipy.stats import multivariate_normal, norm, truncnorm
 
 from lacli.base.errors import UsageError
 from lacli.cohort import pooling
-from lacli.cohort.comparison import GLOBAL, POOLED, REGIONAL, Model, compare, pointwise_log_likelihood, reduced, tied_regions
+from lacli.cohort.comparison import GLOBAL, POOLED, REGIONAL, Model, compare, reduced, tied_regions
 from lacli.cohort.evidence import evidence
 from lacli.contracts.labels import BODY_REGIONS
 from lacli.contracts.priors import Prior
@@ -21,6 +21,7 @@ from lacli.contracts.targets import Targets
 from lacli.inference.box import Box, make_box
 from lacli.inference.emulation.emulator import fit_emulators
 from lacli.inference.emulation.emulator_set import EmulatorSet
+from lacli.inference.sampling.likelihood import pointwise_log_likelihood
 
 NAMES = tuple(f"alpha_{name}" for name in BODY_REGIONS)
 OUTPUTS = tuple(f"d_{name}_mm" for name in BODY_REGIONS)

@@ -30,3 +30,19 @@ def test_a_comparison_is_held_against_what_the_calibration_was(tmp_path: Path) -
     # of the roof .09 + 4 (.04 + .01), by hand
     assert found.sd[0] == pytest.approx(np.sqrt(0.29))
     assert found.covariance == pytest.approx(held.covariance)
+
+
+def test_targets_that_were_left_out_have_no_part_in_it(tmp_path: Path) -> None:
+    """Of one frame no run told the states: the discretisation error there is not known, and is not 0."""
+    names = ("n_roof_mm", "n_roof_mm@0.2", "n_septum_mm")
+    given = Targets(names, np.ones(3), np.full(3, 0.3), 0.05 + 0.04 * np.eye(3)).widened(dict.fromkeys(names, 0.2))
+    fit = [{"feature": name, "target": 1.0, "sd": 0.5, "own_sd": 0.3} for name in (names[2], names[0])]
+    result = {"method": "sequential", "fit": fit, "targets_left_out": [names[1]]}
+    (tmp_path / "result.json").write_text(json.dumps(result))
+    (tmp_path / "calibration.json").write_text(json.dumps({"content": {"runs.numerics.order": 1}}))
+    found = held_against(tmp_path, given)
+    assert found.names == ("n_roof_mm", "n_septum_mm")
+    # .5^2 = .3^2 + .2^2 stated + .12 of discretisation, which go together as those of one kind do
+    assert found.sd == pytest.approx([0.5, 0.5])
+    together = correlation(found.names, found.mean, 1)[0, 1]
+    assert found.covariance is not None and found.covariance[0, 1] == pytest.approx(0.05 + 0.12 * together)

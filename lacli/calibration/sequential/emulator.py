@@ -187,6 +187,13 @@ class Components:
         """
         return self._of(self.variance > STILL)
 
+    def turned(self, turn: FloatArray) -> Components:
+        """``turn`` (q, P) times the components, which it must leave independent."""
+        return replace(
+            self, weights=self.weights @ turn.T, trend=self.trend @ turn.T, variance=turn**2 @ self.variance,
+            rotation=self.rotation @ turn.T,
+        )  # fmt: skip
+
     def _of(self, lively: BoolArray) -> Components:
         """Those components, and the others turned among themselves."""
         still = np.asarray(np.linalg.qr(self.trend[:, ~lively].T, mode="r")).T  # (1 + d, k): |t' trend| = |t' R'|

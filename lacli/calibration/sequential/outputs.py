@@ -49,13 +49,13 @@ class Features:
     def predict(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and variance (m, p) of the features at x (m, d), in their units and squares."""
         mean, variance = self.components.predict(self.scale.to_z(x))
-        return self._features(mean), variance @ (self._back() ** 2).T
+        return self._features(mean), variance @ (self.back() ** 2).T
 
     def left_out(self) -> tuple[FloatArray, FloatArray]:
         """R2 and the share of the runs within two standard deviations (independent standard errors), (p,) each, by leaving runs
         out one after the other with their derivatives. NaN of what is the same in all runs."""
         error, share = self.components.left_out()
-        back = self._back()
+        back = self.back()
         off = error @ back.T
         sd = np.sqrt(share[:, None] * (self.components.variance @ (back**2).T))
         # the process goes through its runs, but for its nugget
@@ -67,9 +67,9 @@ class Features:
     def _features(self, components: FloatArray) -> FloatArray:
         """(m, p) of components (m, P): residual = U c, feature = target + L residual."""
         chosen = [self.targets.names.index(name) for name in self.outputs]
-        return np.asarray(self.targets.mean[chosen] + components @ self._back().T)
+        return np.asarray(self.targets.mean[chosen] + components @ self.back().T)
 
-    def _back(self) -> FloatArray:
+    def back(self) -> FloatArray:
         """(p, P): features by component."""
         chosen = [self.targets.names.index(name) for name in self.outputs]
         return np.asarray(factor(self.targets)[chosen] @ self.components.rotation[: len(self.targets.names)])

@@ -9,6 +9,7 @@ by a quarter of a standard deviation.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -44,6 +45,58 @@ def _correlated_log_likelihood(mean: FloatArray, variance: FloatArray, target: F
         size = 2.0 * np.log(factor[:, diagonal, diagonal]).sum(axis=1)
         result[part] = -0.5 * ((white**2).sum(axis=1) + size + p * np.log(2.0 * np.pi))
     return result
+
+
+def pointwise_log_likelihood(mean: FloatArray, variance: FloatArray, targets: Targets) -> FloatArray:
+    """log p(y_j | y_-j, x) (m, p): with independent errors that of each target alone."""
+    if targets.covariance is None:
+        total = variance + targets.sd**2
+        independent: FloatArray = -0.5 * ((mean - targets.mean) ** 2 / total + np.log(2 * np.pi * total))
+        return independent
+    p = len(targets.mean)
+    precision, g = np.empty(mean.shape), np.empty(mean.shape)
+    diagonal = np.arange(p)
+    rows = max(1, _ENTRIES // (p * p))
+    for start in range(0, len(mean), rows):
+        part = slice(start, start + rows)
+        total = np.repeat(targets.covariance[None], len(mean[part]), axis=0)
+        total[:, diagonal, diagonal] += variance[part]
+        inverse = np.linalg.inv(total)
+        precision[part] = inverse[:, diagonal, diagonal]
+        g[part] = np.einsum("mij,mj->mi", inverse, targets.mean - mean[part])
+    return conditional(g, precision)
+
+
+def conditional(g: FloatArray, precision: FloatArray) -> FloatArray:
+    """log p(y_j | y_-j) (m, p) of normal errors, from S^-1 r and the diagonal of S^-1, both (m, p): r_j less what the others
+    foretell is g_j / precision_j, with the variance 1 / precision_j (Buerkner et al. 2021)."""
+    return np.asarray(-0.5 * (g**2 / precision - np.log(precision) + np.log(2 * np.pi)))
+
+
+class Likelihood(Protocol):
+    """Of the targets, at inputs (m, d)."""
+
+    def __call__(self, x: FloatArray) -> FloatArray:
+        """log L (m,), constants included: models of one set of targets are compared by it."""
+
+    def pointwise(self, x: FloatArray) -> FloatArray:
+        """log p(y_j | y_-j, x) (m, p)."""
+
+
+@dataclass(frozen=True)
+class ByFeature:
+    """The likelihood where each feature has an emulator of its own, whose errors are independent."""
+
+    emulators: AnyEmulators
+    targets: Targets
+
+    def __call__(self, x: FloatArray) -> FloatArray:
+        """log L (m,) at x (m, d)."""
+        return gaussian_log_likelihood(*self.emulators.predict_truth(x), self.targets)
+
+    def pointwise(self, x: FloatArray) -> FloatArray:
+        """log p(y_j | y_-j, x) (m, p)."""
+        return pointwise_log_likelihood(*self.emulators.predict_truth(x), self.targets)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lacli.base.errors import TableError, UsageError
+from lacli.contracts.priors import Prior
 from lacli.contracts.tables.absent import CODES
 from lacli.contracts.tables.table import combine, fewest_runs, read_frame, read_runs
 from lacli.contracts.targets import Targets, read_targets, write_targets
@@ -127,6 +128,28 @@ def test_targets_come_back_as_written(tmp_path_factory, values):
     write_targets(path, targets)
     back = read_targets(path)
     assert back.names == targets.names and np.array_equal(back.mean, targets.mean) and np.array_equal(back.sd, targets.sd)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(1, 6), st.integers(0, 1000), st.floats(1e-3, 1e3))
+def test_correlated_targets_come_back_as_written(tmp_path_factory, p, seed, unit):
+    path = tmp_path_factory.mktemp("t") / "mine.toml"
+    rng = np.random.default_rng(seed)
+    factor = unit * rng.normal(size=(p, p))
+    covariance = factor @ factor.T + 0.01 * unit**2 * np.eye(p)
+    sd = np.sqrt(np.diag(covariance))
+    priors = (Prior("edp_mmhg", "lognormal", 8.0, 1.5, 2.0),)
+    write_targets(path, Targets(tuple(f"f{i}_mm" for i in range(p)), rng.normal(size=p), sd, covariance, priors))
+    back = read_targets(path)
+    assert np.array_equal(back.covariance, covariance) and np.array_equal(back.sd, sd) and back.priors == priors
+    assert {file.name for file in path.parent.iterdir()} == {"mine.toml", "mine_covariance.npz"}
+
+
+def test_targets_whose_errors_are_not_the_measurement_s_alone_are_not_written(tmp_path):
+    targets = Targets(("a_mm",), np.ones(1), np.ones(1)).widened({"a_mm": 0.5})
+    with pytest.raises(TableError, match=r"errors were added to these targets"):
+        write_targets(tmp_path / "t.toml", targets)
+    assert not any(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(

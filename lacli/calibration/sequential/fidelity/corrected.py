@@ -53,6 +53,10 @@ class Corrected(Components):
         plain = {field.name: getattr(few, field.name) for field in fields(Components)}
         return replace(self, **plain | {"mix": kept, "own": np.r_[self.own[lively], np.zeros(more)]})
 
+    def of_runs(self) -> Components:
+        """The emulator of the corrected runs, as if the correction were known."""
+        return Components(**{field.name: getattr(self, field.name) for field in fields(Components)})
+
 
 def emulate(evidence: Evidence, start: Components | None = None) -> Components:
     """The emulator of runs; where they are corrected ones, with the correction's variance. start: as of ``emulator.fit``."""

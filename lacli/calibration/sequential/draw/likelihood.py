@@ -1,0 +1,113 @@
+"""The likelihood of targets by the emulator of a sequential calibration, for hundreds of correlated targets at a diagonal's cost.
+
+The emulator's error is v(z) M, M a matrix between the features that no input changes. With the covariance of the targets' errors
+K = L L' and L^-1 M L^-T = E diag(s) E', what is left of the targets is independent in the coordinates E' L^-1, with variances
+1 + v(z) s; log det K is the same everywhere. So no matrix of the targets' size is factored at any point, and nothing is left out:
+that the emulator errs in many features together is in it. Of runs that were corrected the correction's error is one more, in a
+few directions, which a matrix as large as their number brings in (Woodbury).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from lacli.base.arrays import FloatArray
+from lacli.calibration.sequential.emulator import Components
+from lacli.calibration.sequential.evidence import factor
+from lacli.calibration.sequential.fidelity.corrected import Corrected
+from lacli.calibration.sequential.outputs import Features
+from lacli.calibration.sequential.scale import Scale
+from lacli.contracts.targets import Targets
+from lacli.inference.sampling.likelihood import conditional
+
+_NOTHING = 1e-10  # of the targets' variance: errors of the correction in such a direction are left out
+_ENTRIES = 4_000_000  # of matrices between targets and directions that are in memory at a time
+
+
+@dataclass(frozen=True)
+class _Few:
+    """An error of few directions beside the independent ones: the process whose share of it is not known, and the directions
+    (p, k) times their standard deviations where nothing is known."""
+
+    process: Components
+    along: FloatArray
+
+    def inner(self, z: FloatArray, total: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """At z (m, d), beside variances (m, p): the standard deviation's share (m,), and the factor C (m, k, k) of
+        C C' = 1 + share^2 W' D^-1 W."""
+        root = np.sqrt(self.process.share(z))
+        k = self.along.shape[1]
+        pairs = (self.along[:, :, None] * self.along[:, None]).reshape(len(self.along), k * k)
+        inside = ((root**2)[:, None] / total @ pairs).reshape(len(z), k, k)
+        return root, np.asarray(np.linalg.cholesky(inside + np.eye(k)))
+
+
+@dataclass(frozen=True)
+class Decorrelated:
+    """components: what is left of the targets, independent, where errors of the targets are 1; shift (p,): what is added to them;
+    whitening (p, p): E' L^-1; constant: of log L; correction: its error, where runs were corrected."""
+
+    components: Components
+    scale: Scale
+    shift: FloatArray
+    whitening: FloatArray
+    constant: float
+    correction: _Few | None = None
+
+    @classmethod
+    def of(cls, features: Features, targets: Targets) -> Decorrelated:
+        """Of the emulated features held against ``targets``, which are of these features in their order. Their errors may be
+        others than those that the emulator's components are made with."""
+        made, lower = features.components, factor(targets)
+        back = solve_triangular(lower, features.back(), lower=True)
+        axes = np.linalg.eigh((back * made.variance) @ back.T)[1]
+        turn, whitening = axes.T @ back, axes.T @ solve_triangular(lower, np.eye(len(lower)), lower=True)
+        runs, correction = made, None
+        if isinstance(made, Corrected):
+            directions, size, _ = np.linalg.svd(turn @ (made.mix.T * np.sqrt(made.delta.variance)), full_matrices=False)
+            runs, kept = made.of_runs(), size**2 > _NOTHING
+            correction = _Few(made.delta, directions[:, kept] * size[kept])
+        centre = features.targets.select(features.outputs).mean
+        p = len(lower)
+        return cls(
+            runs.turned(turn), features.scale, whitening @ (centre - targets.mean), whitening,
+            -float(np.log(np.diag(lower)).sum()) - 0.5 * p * math.log(2.0 * math.pi), correction,
+        )  # fmt: skip
+
+    def __call__(self, x: FloatArray) -> FloatArray:
+        """log L (m,) at x (m, d)."""
+        z = self.scale.to_z(x)
+        left, total = self._left(z)
+        found = self.constant - 0.5 * (left**2 / total + np.log(total)).sum(axis=1)
+        if self.correction is None:
+            return found
+        root, inner = self.correction.inner(z, total)
+        taken_up = np.linalg.solve(inner, (root[:, None] * (left / total) @ self.correction.along)[..., None])[..., 0]
+        size = np.log(np.diagonal(inner, axis1=1, axis2=2)).sum(axis=1)
+        return np.asarray(found + 0.5 * (taken_up**2).sum(axis=1) - size)
+
+    def pointwise(self, x: FloatArray) -> FloatArray:
+        """log p(y_j | y_-j, x) (m, p): of all targets' errors and the emulator's together."""
+        rows = max(1, _ENTRIES // (len(self.shift) * (1 if self.correction is None else 1 + self.correction.along.shape[1])))
+        return np.vstack([self._pointwise(x[start : start + rows]) for start in range(0, len(x), rows)])
+
+    def _pointwise(self, x: FloatArray) -> FloatArray:
+        z = self.scale.to_z(x)
+        left, total = self._left(z)
+        g, precision = left / total, 1.0 / total @ self.whitening**2
+        if self.correction is None:
+            return conditional(g @ self.whitening, precision)
+        root, inner = self.correction.inner(z, total)
+        # W' D^-1 in the directions that C leaves independent
+        known = np.linalg.solve(inner, (root[:, None, None] * self.correction.along.T) / total[:, None])
+        g = g - np.einsum("mkp,mk->mp", known, np.einsum("mkp,mp->mk", known, left))
+        return conditional(g @ self.whitening, precision - ((known @ self.whitening) ** 2).sum(axis=1))
+
+    def _left(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What is left (m, p) of the targets at z (m, d) and its variance, but for the correction's."""
+        mean, variance = self.components.predict(z)
+        return mean + self.shift, variance + 1.0
