@@ -44,6 +44,7 @@ def track(
     error_mm: Sequence[float] | None = None,
     published: bool = False,
     at: Sequence[float] | None = None,
+    priors: Path | None = None,
     work_mm: float = 0.9,
     workers: int = 2,
     known_motions: int = 5,
@@ -58,7 +59,8 @@ def track(
     Motion (t, n, 3) is in mm, times are fractions (or percentages) of the RR interval. motion: what ``images`` are, or motion
     that is given (``fields``, ``surfaces``, ``other-surfaces``, ``labels`` with the blood's ``label``) with the two sd of its
     error, normal and tangential, in ``error_mm``, its ``axes`` being lps or ras; at: times of targets beside end-systole
-    (None: every frame); published: the seven targets of the published calibration instead; work_mm: voxels that are
+    (None: every frame); published: the seven targets of the published calibration instead; priors: a file of ``[priors.NAME]``,
+    what is known of inputs beside the images (measured pressures), which the targets then state; work_mm: voxels that are
     registered; workers: registrations at a time; known_motions: frames whose motion is tracked again to measure the error;
     harmonics: 0, or of the cycle that smooth in time; update_bundle: its annulus moves as tracked from then on.
     Raises UsageError, InputError where frames do not fit each other or the bundle, LacliError where a registration fails,
@@ -66,6 +68,7 @@ def track(
     """
     from lacli.base.files import check_folder
     from lacli.contracts.bundle import load
+    from lacli.contracts.priors import read_prior_file
     from lacli.motion import measured
     from lacli.motion.patient import Settings
     from lacli.motion.store import check_replaceable
@@ -75,6 +78,7 @@ def track(
     stated = measured.stated_error(motion, error_mm)
     if axes not in ("lps", "ras"):
         raise UsageError(f"--axes {axes}: lps (ITK) or ras.")
+    known = None if priors is None else read_prior_file(priors)
     check_folder(folder)
     check_replaceable(folder)
     anatomy = load(bundle)
@@ -84,7 +88,7 @@ def track(
     else:
         moved = measured.Given(motion, axes, label, stated)
         tracked, names, origin = measured.from_motion(anatomy, images, times, moved, stage.of)
-    found = measured.targets_of(tracked, published, at)
+    found = measured.targets_of(tracked, published, at).knowing(known)
     notes = {"bundle": str(bundle), "frames": names, "times_from": origin, "published": published}
     report = measured.write(folder, bundle, anatomy, tracked, found, notes, update_bundle)
     drawn: list[Path] = []

@@ -23,8 +23,8 @@ from lacli.contracts.tables.file import read_frame
 from lacli.contracts.targets import Targets, read_targets
 
 ID = "participant_id"
-PATHS = ("labels", "bundle", "ct", "images", "targets", "table", "scene", "uniform")
-_FILES, _FOLDERS = ("labels", "targets", "table", "scene"), ("bundle", "uniform")  # of the others a path may be either
+PATHS = ("labels", "bundle", "ct", "images", "targets", "table", "scene", "uniform", "priors")
+_FILES, _FOLDERS = ("labels", "targets", "table", "scene", "priors"), ("bundle", "uniform")  # of the others a path may be either
 # columns of numbers that are known: unit, and what a patient can have
 _NUMBERS = {"age": ("years", 0.0, 125.0), "heart_rate_bpm": ("beats a minute", 15.0, 400.0), "ed_volume_ml": ("mL", 1.0, 1500.0)}
 _MISSING = ("n/a", "na", "")
@@ -47,8 +47,8 @@ def read_participants(path: Path) -> list[Participant]:
     """The participants of a CSV or Parquet table; paths are taken from the table's folder.
 
     Columns: ``participant_id``; ``labels`` or ``bundle``; ``images`` or ``targets``; or ``table`` (runs done elsewhere) with
-    ``targets``; optional ``ct``, ``scene``, ``age`` and columns of one's own; ``n/a`` where not known. Raises TableError, one
-    message with all that is wrong.
+    ``targets``; optional ``ct``, ``scene``, ``priors``, ``age`` and columns of one's own; ``n/a`` where not known. Raises
+    TableError, one message with all that is wrong.
     """
     frame = read_frame(path)
     if ID not in frame:
@@ -108,6 +108,8 @@ def _participant(home: Path, name: str, cells: Mapping[object, object], wrong: l
             wrong.append(f"{name}: neither labels (to mesh) nor bundle")
         if "images" not in paths and "targets" not in paths:
             wrong.append(f"{name}: neither images (to track) nor targets")
+    if "priors" in paths and "targets" in paths:
+        wrong.append(f"{name}: priors go into the targets of images that are tracked; state them in {paths['targets'].name}")
     return Participant(name, MappingProxyType(paths), MappingProxyType(others))
 
 

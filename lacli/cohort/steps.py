@@ -17,7 +17,7 @@ COMMANDS = ("mesh", "fat", "track", "calibrate", "compare")
 SLURM = ("time", "memory", "cpus", "account", "partition", "modules", "limit", "interface")
 _OPTION = re.compile(r"[a-z][a-z0-9-]*")
 _PLAIN = re.compile(r"[A-Za-z0-9_./:=+,@ -]{1,200}")
-_OURS = ("out", "bundle", "anatomy", "targets", "from-table", "json", "other")
+_OURS = ("out", "bundle", "anatomy", "targets", "from-table", "json", "other", "priors")
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,11 @@ def steps_of(patient: Participant, settings: Settings, folder: Path, scene: Path
             add("fat", words, [paths["ct"], *anatomy], folder / "fat" / "fat.json")
         if "targets" not in paths:
             words = [str(paths["images"]), "--bundle", str(bundle), "--out", str(folder / "motion")]
-            add("track", [*words, *(["--update-bundle"] if own_bundle else [])], [paths["images"], *anatomy], targets)
+            words += ["--update-bundle"] if own_bundle else []
+            reads = [paths["images"], *anatomy]
+            if (known := paths.get("priors")) is not None:
+                words, reads = [*words, "--priors", str(known)], [*reads, known]
+            add("track", words, reads, targets)
     calibration = folder / "calibration"
     words = ["--targets", str(targets), "--out", str(calibration)]
     if table is None:

@@ -18,7 +18,7 @@ from typing import Any, Literal
 import numpy as np
 
 from lacli.base.arrays import FloatArray
-from lacli.base.documents import brief
+from lacli.base.documents import brief, read_toml
 from lacli.base.errors import TableError, UsageError
 
 Distribution = Literal["normal", "lognormal", "uniform"]
@@ -86,6 +86,17 @@ class Prior:
     def _of_the_logarithm(self) -> tuple[float, float]:
         spread = math.sqrt(math.log1p((self.sd / self.mean) ** 2))
         return math.log(self.mean) - 0.5 * spread**2, spread
+
+
+def read_prior_file(path: Path) -> tuple[Prior, ...]:
+    """Priors of a file that has them alone, tables ``[priors.NAME]``. Raises TableError with the key at fault."""
+    document = read_toml(path, error=TableError, missing="no such file of priors. Write a table [priors.NAME] for each input")
+    if other := sorted(set(document) - {"priors"}):
+        raise TableError(f"{path}: {', '.join(other)} is no table of priors; there are [priors.NAME] alone.")
+    found = read_priors(path, document.get("priors"))
+    if found is None:
+        raise TableError(f"{path}: no prior in it. Write a table [priors.NAME] for each input.")
+    return found
 
 
 def read_priors(path: Path, tables: object) -> tuple[Prior, ...] | None:

@@ -110,6 +110,8 @@ def write_covaried(folder: Path, found: Covaried, phases: Phases, engine: str) -
         "covariance": COVARIANCE,
         "targets": tables,
     }
+    if found.targets.priors:
+        document["priors"] = {prior.name: prior.table() for prior in found.targets.priors}
     write_covariance(folder / COVARIANCE, found.targets.names, found.covariance)
     write_text(folder / "targets.toml", tomli_w.dumps(document))
 

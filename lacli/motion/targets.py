@@ -12,6 +12,7 @@ from lacli.anatomy.surface_features import Endocardium
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import InputError, UsageError
 from lacli.contracts.features import PUBLISHED, at_time
+from lacli.contracts.priors import Prior
 from lacli.contracts.targets import Targets
 from lacli.motion.errors.shrinkage import Shrinkage
 from lacli.motion.errors.uncertainty import ErrorModel
@@ -98,6 +99,10 @@ class Covaried:
     targets: Targets
     covariance: FloatArray
     time: tuple[float | None, ...]
+
+    def knowing(self, priors: tuple[Prior, ...] | None) -> Covaried:
+        """With what is known of the simulator's inputs beside the images."""
+        return replace(self, targets=replace(self.targets, priors=priors))
 
 
 def measured(course: Course, model: ErrorModel, times: Sequence[float] | None = None) -> Covaried:

@@ -197,5 +197,9 @@ def _targets(file: Path, features: Mapping[str, float], names: tuple[str, ...], 
     sd = np.array([of_unit[parse(name)[0].unit] for name in names])
     noise = np.random.default_rng([_STREAM, seed, 2]).standard_normal(len(true))
     # intervals promise something over the prior alone, and stiffness goes with the loads: what these are drawn from is stated
-    priors = tuple(Prior(name, "uniform", math.nan, math.nan, low, high) for name, (low, high, _) in LOADS.items())
-    write_targets(file, Targets(names, true + sd * noise, sd, priors=priors))
+    write_targets(file, Targets(names, true + sd * noise, sd, priors=load_priors()))
+
+
+def load_priors() -> tuple[Prior, ...]:
+    """What is known of the loads: the ranges that they are drawn from."""
+    return tuple(Prior(name, "uniform", math.nan, math.nan, low, high) for name, (low, high, _) in LOADS.items())

@@ -53,6 +53,21 @@ def test_the_steps_follow_the_files(home: Path) -> None:
         steps_of(patients[1], Settings(), home, None)
 
 
+def test_what_is_known_of_a_patient_s_pressures_goes_to_the_tracking(home: Path) -> None:
+    (home / "mine.toml").write_text("[priors.edp_mmhg]\nmean = 8.0\nsd = 1.5\n")
+    file = home / "participants.csv"
+    file.write_text("participant_id,bundle,images,priors\na,bundle,frames,mine.toml\nb,bundle,frames,n/a\n")
+    with_, without = (steps_of(p, Settings(), home / "out", home / "scene.toml")[0] for p in read_participants(file))
+    assert with_.arguments[0] == "track" and with_.arguments[-2:] == ("--priors", str(home / "mine.toml"))
+    assert home / "mine.toml" in with_.reads, "tracked targets are written again where it changes"
+    assert "--priors" not in without.arguments
+    file.write_text("participant_id,bundle,targets,priors\na,bundle,targets.toml,mine.toml\n")
+    with pytest.raises(
+        TableError, match=r"a: priors go into the targets of images that are tracked; state them in targets\.toml"
+    ):
+        read_participants(file)
+
+
 def test_a_bundle_of_uniform_thickness_is_calibrated_too_and_compared(home: Path) -> None:
     (home / "flat").mkdir()
     file = home / "participants.csv"

@@ -12,6 +12,8 @@ import pandas as pd
 import pytest
 
 from lacli.cli.study.cohort import _check_options
+from lacli.contracts.priors import read_prior_file
+from lacli.synthetic.cycle import LOADS
 
 ROOT = Path(__file__).resolve().parents[2]
 INSTALLED = """
@@ -88,6 +90,10 @@ def test_the_study_from_images_hands_each_patient_s_images_on(tmp_path: Path) ->
     table = pd.read_csv(results / "cohort" / "participants.csv").set_index("participant_id")
     assert list(table.index) == ["sub-01", "sub-02"]
     assert table.loc["sub-02", "images"] == "sub-02/gated/frames" and table.loc["sub-02", "labels"] == "sub-02/still/labels.nrrd"
+    # the loads' ranges are known, as measured pressures would be, and stiffness is not
+    assert table["priors"].tolist() == ["priors.toml"] * 2
+    known = {one.name: (one.distribution, one.lower, one.upper) for one in read_prior_file(results / "cohort" / "priors.toml")}
+    assert known == {name: ("uniform", low, high) for name, (low, high, _) in LOADS.items()}
     truths = pd.read_csv(results / "cohort" / "truths.csv")
     assert truths.to_dict("list") == {"participant_id": ["sub-01", "sub-02"], "alpha_roof": [1.5, 1.5]}
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.stats import lognorm, norm
 
 from lacli.base.errors import TableError, UsageError
-from lacli.contracts.priors import Prior, check_priors, log_prior, prior_sd
+from lacli.contracts.priors import Prior, check_priors, log_prior, prior_sd, read_prior_file
 from lacli.contracts.targets import read_targets, write_targets
 
 TARGET = "[targets.esv_ml]\nmean = 92.0\nsd = 4.6\n"
@@ -55,6 +55,20 @@ def test_priors_are_written_as_they_are_read(tmp_path: Path) -> None:
     assert [prior.table() for prior in again] == [prior.table() for prior in first.priors]
     assert again[1].table() == {"distribution": "uniform", "lower": 0.6, "upper": 0.9}
     assert (again[0].mean, again[0].sd, again[0].lower) == (8.0, 1.5, 4.0)
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        ("", "no prior in it"),
+        ("[priors.a]\nmean = 3.0", "finite number for sd"),
+        ("[a]\nmean = 3.0\nsd = 1.0", "a is no table of priors"),
+    ],
+)
+def test_a_file_of_priors_that_is_none_is_one_message(tmp_path: Path, text: str, words: str) -> None:
+    (tmp_path / "p.toml").write_text(text)
+    with pytest.raises(TableError, match=words):
+        read_prior_file(tmp_path / "p.toml")
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,10 @@ import pytest
 import pyvista as pv
 from shapes import hollow_cube
 
+import lacli
 from lacli.anatomy.surface_features import Endocardium
-from lacli.base.errors import StorageError
+from lacli.base.errors import StorageError, TableError
+from lacli.contracts.priors import read_prior_file
 from lacli.contracts.targets import read_targets
 from lacli.motion.errors.uncertainty import ErrorModel
 from lacli.motion.patient import Tracked
@@ -39,6 +41,19 @@ def test_targets_come_back_with_their_covariance(course: Course, tmp_path: Path)
     assert back.mean == pytest.approx(found.targets.mean) and back.sd == pytest.approx(found.targets.sd)
     assert back.covariance == pytest.approx(found.covariance)
     assert isinstance(Tracked(course, model, [], None, None).course, Course)
+
+
+def test_what_is_known_of_pressures_stands_in_the_targets(course: Course, tmp_path: Path) -> None:
+    file = tmp_path / "priors.toml"
+    file.write_text("[priors.edp_mmhg]\nmean = 8.0\nsd = 1.5\n[priors.pth]\nlower = 0.6\nupper = 0.85\n")
+    keys = tuple(course.features[0])
+    found = measured(course, ErrorModel(keys, np.linspace(0.1, 0.3, len(keys)), np.eye(len(keys)), 0.3, 20))
+    write_covaried(tmp_path, found.knowing(read_prior_file(file)), course.phases, "greedy")
+    priors = read_targets(tmp_path / "targets.toml").priors
+    assert priors is not None and [(one.name, one.distribution) for one in priors] == [("edp_mmhg", "normal"), ("pth", "uniform")]
+    assert (priors[0].mean, priors[0].sd, priors[1].lower, priors[1].upper) == (8.0, 1.5, 0.6, 0.85)
+    with pytest.raises(TableError, match="no such file of priors"):  # before anything else is read
+        lacli.track([tmp_path], tmp_path / "no_bundle", tmp_path / "out", priors=tmp_path / "absent.toml")
 
 
 def test_the_series_has_every_frame_s_displacement(course: Course, tmp_path: Path) -> None:

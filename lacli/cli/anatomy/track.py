@@ -42,6 +42,12 @@ def command(
     at: Annotated[
         str | None, typer.Option(help="Times of the targets beside ES (fractions of RR). Default: every frame.")
     ] = None,
+    priors: Annotated[
+        Path | None,
+        typer.Option(
+            help="What is known of inputs beside the images, as measured pressures (TOML, [priors.NAME]); for targets.toml."
+        ),
+    ] = None,
     work_mm: Annotated[float, typer.Option(help="Voxel size in which is registered, mm; finer frames are averaged.")] = 0.9,
     workers: Annotated[int, typer.Option(help="Registrations at a time, one core each.")] = 2,
     known_motions: Annotated[
@@ -63,9 +69,9 @@ def command(
     with one_bar("tracking") as show:
         found = api.track(
             images, bundle, folder, times=_numbers(times, "--times"), engine=engine, motion=motion, axes=axes, label=label,
-            error_mm=_numbers(error_mm, "--error-mm"), published=published, at=_numbers(at, "--at"), work_mm=work_mm,
-            workers=workers, known_motions=known_motions, harmonics=harmonics, update_bundle=update_bundle, figures=figures,
-            progress=show,
+            error_mm=_numbers(error_mm, "--error-mm"), published=published, at=_numbers(at, "--at"), priors=priors,
+            work_mm=work_mm, workers=workers, known_motions=known_motions, harmonics=harmonics, update_bundle=update_bundle,
+            figures=figures, progress=show,
         )  # fmt: skip
     _say(found, as_json)
     if found.pictures:
