@@ -24,7 +24,7 @@ from lacli.calibration.sequential.scale import Scale
 from lacli.contracts.targets import Targets
 from lacli.inference.sampling.likelihood import conditional
 
-_NOTHING = 1e-10  # of the targets' variance: errors of the correction in such a direction are left out
+_NOTHING = 1e-8  # of the targets' variance: errors of the correction in such a direction are left out
 _ENTRIES = 4_000_000  # of matrices between targets and directions that are in memory at a time
 
 
@@ -41,9 +41,10 @@ class _Few:
         C C' = 1 + share^2 W' D^-1 W."""
         root = np.sqrt(self.process.share(z))
         k = self.along.shape[1]
-        pairs = (self.along[:, :, None] * self.along[:, None]).reshape(len(self.along), k * k)
-        inside = ((root**2)[:, None] / total @ pairs).reshape(len(z), k, k)
-        return root, np.asarray(np.linalg.cholesky(inside + np.eye(k)))
+        i, j = np.tril_indices(k)  # the factor is of the lower half
+        inside = np.tile(np.eye(k), (len(z), 1, 1))
+        inside[:, i, j] += (root**2)[:, None] / total @ (self.along[:, i] * self.along[:, j])
+        return root, np.asarray(np.linalg.cholesky(inside))
 
 
 @dataclass(frozen=True)
