@@ -104,8 +104,6 @@ def _left_out(folder: Path, names: set[str]) -> None:
 def test_targets_that_a_calibration_left_out_are_left_out_for_all_with_a_word(tmp_path: Path, targets: Targets) -> None:
     folder, other = _patient(tmp_path / "p", targets), _patient(tmp_path / "u", targets)
     write_targets(tmp_path / "t.toml", targets)
-    whole = lacli.compare(folder, tmp_path / "t.toml", particles=100, others={"uniform": other})
-    assert not any("left" in words for words in whole.warnings)
     _left_out(other, {OUTPUTS[4]})
     some = lacli.compare(folder, tmp_path / "t.toml", particles=100, others={"uniform": other})
     assert some.warnings[0] == (
@@ -115,9 +113,8 @@ def test_targets_that_a_calibration_left_out_are_left_out_for_all_with_a_word(tm
     fits = {fit.name: fit for fit in some.fits}
     se = np.hypot(fits["regional"].log_evidence_se, fits["uniform"].log_evidence_se)
     assert fits["uniform"].log_evidence == pytest.approx(fits["regional"].log_evidence, abs=4 * se)
-    # and a target less, of which a region of its own explains all but 1 / (2 mm * 3.5), is worth the logarithm of that
-    difference = fits["regional"].log_evidence - whole.fits[0].log_evidence
-    assert difference == pytest.approx(np.log(2 * 3.5), abs=4 * se + 0.1)
+    # of each of four targets a region of its own explains all but 1 / (2 mm * 3.5); of five it would be 1.9 less
+    assert fits["regional"].log_evidence == pytest.approx(-4 * np.log(2 * 3.5), abs=4 * se + 0.1) and se < 0.3
     _left_out(folder, set(OUTPUTS[:4]))
     with pytest.raises(UsageError, match="nothing is left"):
         lacli.compare(folder, tmp_path / "t.toml", others={"uniform": other})
