@@ -15,7 +15,7 @@ from pathlib import Path
 
 from lacli.base.errors import MachineError, SolverMissingError
 from lacli.base.processes.process import answer_of
-from lacli.freefem import blas
+from lacli.freefem import blas, memory
 
 INSTALL = "sudo apt-get install -y freefem++ libfreefem++-dev libmumps-seq-dev libopenblas0-pthread g++"
 CRASHES = frozenset({signal.SIGSEGV, signal.SIGABRT, signal.SIGFPE, signal.SIGBUS, signal.SIGILL})
@@ -39,12 +39,13 @@ class FreeFem:
 
     def environment(self, threads: int = 1, includes: Sequence[Path] = ()) -> dict[str, str]:
         """Environment of a run: plugin and include folders (``includes`` first), one BLAS thread on the
-        processor's own kernels, C locale."""
+        processor's own kernels, freed memory kept, C locale."""
         folders = [*includes, *([self.include_path] if self.include_path else [])]
         count = str(threads)
         return {
             **os.environ,
             **blas.environment(),
+            **memory.environment(),
             "FF_LOADPATH": f"{self.load_path};;",
             "FF_INCLUDEPATH": ";".join(f"{folder}" for folder in folders) + ";;",
             "FF_VERBOSITY": "0",

@@ -15,7 +15,7 @@ from lacli.base.files import write_text
 from lacli.contracts.case import Case, Plan
 from lacli.contracts.laws import LAWS
 from lacli.contracts.scene import Scene, dump_scene
-from lacli.freefem import blas
+from lacli.freefem import blas, memory
 from lacli.freefem import run as freefem
 from lacli.freefem.program import find
 from lacli.freefem.template import render_template
@@ -75,7 +75,7 @@ def shell_script() -> str:
     wanted = {
         name: value
         for name, value in found.environment(includes=(libraries(),)).items()
-        if name.startswith("FF_") or name.endswith("_NUM_THREADS") or name == "LC_ALL"
+        if name.startswith("FF_") or name.endswith("_NUM_THREADS") or name in ("LC_ALL", *memory.KEPT)
     }
     exports = "".join(f"export {name}={shlex.quote(value)}\n" for name, value in sorted(wanted.items()))
     program = shlex.quote(str(found.binary))
