@@ -132,10 +132,7 @@ def triangulate_loop(points: FloatArray, rim: IntArray, normal: FloatArray) -> t
     import gmsh
 
     ring = points[rim]
-    across = unit(np.cross(normal, [1.0, 0.0, 0.0] if abs(normal[0]) < 0.9 else [0.0, 1.0, 0.0]))
-    plane = np.stack([across, np.cross(normal, across)])
-    middle = ring.mean(axis=0)
-    flat = (ring - middle) @ plane.T
+    flat, middle, plane = project(ring, normal)
     before = np.roll(flat, 1, axis=0)
     if np.sum(before[:, 0] * flat[:, 1] - before[:, 1] * flat[:, 0]) < 0:
         rim, ring, flat = rim[::-1], ring[::-1], flat[::-1]
@@ -168,12 +165,25 @@ def triangulate_loop(points: FloatArray, rim: IntArray, normal: FloatArray) -> t
     return inner, ids[triangles]
 
 
+def project(ring: FloatArray, normal: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A curve (k, 3) along the unit ``normal``: (k, 2) about its middle (3,), in the plane of two unit vectors (2, 3)."""
+    across = unit(np.cross(normal, [1.0, 0.0, 0.0] if abs(normal[0]) < 0.9 else [0.0, 1.0, 0.0]))
+    plane = np.stack([across, np.cross(normal, across)])
+    middle = ring.mean(axis=0)
+    return (ring - middle) @ plane.T, middle, plane
+
+
 def crosses_itself(ring: FloatArray) -> bool:
     """Whether two sides of a closed plane curve (k, 2) cross or touch (neighbours apart), or a side has no length."""
+    return len(crossing_points(ring)) > 0
+
+
+def crossing_points(ring: FloatArray) -> IntArray:
+    """Which points of a closed plane curve (k, 2) end a side that crosses or touches another (neighbours apart), or has no
+    length."""
     a, b = ring, np.roll(ring, -1, axis=0)
     size = float(np.ptp(ring, axis=0).max())
-    if (np.linalg.norm(b - a, axis=1) < 1e-6 * size).any():
-        return True
+    short = np.linalg.norm(b - a, axis=1) < 1e-6 * size
 
     def side(p: FloatArray, q: FloatArray, r: FloatArray) -> FloatArray:
         u, v = q[:, None] - p[:, None], r[None] - p[:, None]
@@ -183,7 +193,8 @@ def crosses_itself(ring: FloatArray) -> bool:
     first, second = side(a, b, a), side(a, b, b)
     crossed = (first * second <= 0) & (first * second <= 0).T
     gap = np.abs(np.arange(k)[:, None] - np.arange(k)[None])
-    return bool(crossed[(gap > 1) & (gap < k - 1)].any())
+    sides = np.flatnonzero(short | (crossed & (gap > 1) & (gap < k - 1)).any(axis=1))
+    return np.unique(np.concatenate([sides, (sides + 1) % k]))
 
 
 def harmonic_heights(triangles: IntArray, rim_height: FloatArray, size: int) -> FloatArray:

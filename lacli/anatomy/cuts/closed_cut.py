@@ -129,5 +129,5 @@ def _at_level(surface: Surface, value: FloatArray, label: int) -> Surface | None
     rims = paths.loops(paths.open_edges(kept.triangles))
     if len(rims) != 1:
         return None
-    points, triangles, caps = close(kept.points, kept.triangles, rims)
-    return Surface(points, triangles, np.concatenate([kept.label, np.where(caps[len(kept.label) :] == CAP, label, 0)]))
+    points, triangles, labels = close(kept.points, kept.triangles, rims, kept.label)
+    return compact(Surface(points, triangles, np.where(labels == CAP, label, labels)))

@@ -6,6 +6,7 @@ import numpy as np
 
 from lacli.anatomy.cuts import clipping
 from lacli.anatomy.cuts.caps import triangulate_loop
+from lacli.anatomy.cuts.doubles import part_doubles
 from lacli.anatomy.openings.candidate import area_vector
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import AnatomyError
@@ -15,26 +16,31 @@ CAP = 101  # label of the first cap; PLANES take over once the openings have nam
 RAGGED = 0.25  # of the rim's mean edge: farther off its own running mean it is evened out
 
 
-def close(points: FloatArray, triangles: IntArray, rims: list[IntArray]) -> tuple[FloatArray, IntArray, IntArray]:
+def close(
+    points: FloatArray, triangles: IntArray, rims: list[IntArray], label: IntArray | None = None
+) -> tuple[FloatArray, IntArray, IntArray]:
     """Points, triangles and labels of the surface with a cap over each rim (ordered point ids): CAP, CAP + 1 ... in their order.
 
-    The triangles are consistently turned; the caps follow them. A rim whose projection crosses itself gets cut ears.
+    The triangles are consistently turned; the caps follow them. ``label``: of the triangles (t,), 0 if not given. A rim whose
+    projection crosses itself gets cut ears; a triangle at a rim that its cap has too goes with it (see ``part_doubles``).
     """
-    label = [np.zeros(len(triangles), dtype=np.int64)]
-    everything = [triangles]
+    label = np.zeros(len(triangles), dtype=np.int64) if label is None else label
     directed = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     for k, rim in enumerate(rims):
         # the cap runs against the wall's direction along the rim
         along = ((directed[:, 0] == rim[0]) & (directed[:, 1] == rim[1])).any()
         ring = rim[::-1] if along else rim
+        normal = _unit(area_vector(points[ring]))
         try:
-            inner, cap = triangulate_loop(points, ring, _unit(area_vector(points[ring])))
+            inner, cap = triangulate_loop(points, ring, normal)
             points = np.vstack([points, inner])
+            middle, cap, stays = part_doubles(points, cap, triangles, normal)
+            points, triangles, label = np.vstack([points, middle]), triangles[stays], label[stays]
         except AnatomyError:
             points, cap = clipping.fill_rim(points, rim, triangles)
-        everything.append(cap)
-        label.append(np.full(len(cap), CAP + k, dtype=np.int64))
-    return points, np.vstack(everything), np.concatenate(label)
+        triangles = np.vstack([triangles, cap])
+        label = np.concatenate([label, np.full(len(cap), CAP + k, dtype=np.int64)])
+    return points, triangles, label
 
 
 def even(points: FloatArray, triangles: IntArray, rims: list[IntArray], reach_mm: float = 4.0) -> tuple[FloatArray, list[int]]:

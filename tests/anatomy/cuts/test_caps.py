@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from shapes import icosphere
 
-from lacli.anatomy.cuts.caps import crosses_itself, extrude_plate, harmonic_heights, rim_loops, triangulate_loop
+from lacli.anatomy.cuts.caps import crosses_itself, crossing_points, extrude_plate, harmonic_heights, rim_loops, triangulate_loop
 from lacli.base.errors import AnatomyError
 from lacli.geometry.tetrahedra import volumes
 from lacli.geometry.triangles import area_normals
@@ -47,6 +47,8 @@ def test_curves_that_cross_touch_or_stand_still() -> None:
     assert crosses_itself(SQUARE[[0, 2, 1, 3]])  # a bow tie
     assert crosses_itself(SQUARE[[0, 1, 1, 2, 3]])  # a side without length
     assert crosses_itself(np.array([[0.0, 0], [4, 0], [4, 4], [2, 0], [0, 4]]))  # a corner on a side
+    # of six corners those of the two sides that meet, 1 2 and 3 4
+    assert crossing_points(np.array([[0.0, 2], [0, 0], [4, 4], [4, 0], [0, 4], [-2, 3]])).tolist() == [1, 2, 3, 4]
     with pytest.raises(AnatomyError, match="crosses itself"):
         triangulate_loop(flat(SQUARE), np.array([0, 2, 1, 3]), UP)
 

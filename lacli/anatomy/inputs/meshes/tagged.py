@@ -13,6 +13,7 @@ from lacli.anatomy.coordinates.describe import describe
 from lacli.anatomy.coordinates.frame import frame_from_openings, height, sectors, sweep, two_layer_fibres, unit
 from lacli.anatomy.cuts import closing
 from lacli.anatomy.cuts.caps import Plate, extrude_plate, rim_loops, triangulate_loop
+from lacli.anatomy.cuts.doubles import part_doubles
 from lacli.anatomy.inputs.meshes import apart, surfacefile
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.documents import read_json
@@ -162,6 +163,9 @@ def _closed(points: FloatArray, endo: IntArray, rims: dict[str, IntArray]) -> Su
         outward = normal if normal @ (ring.mean(axis=0) - centre) > 0 else -normal
         inner, cap = triangulate_loop(everything, rim, outward)
         everything = np.vstack([everything, inner])
+        middle, cap, stays = part_doubles(everything, cap, triangles[0], outward)
+        everything = np.vstack([everything, middle])
+        triangles[0], label[0] = triangles[0][stays], label[0][stays]
         triangles.append(cap)
         label.append(np.full(len(cap), PLANES[name]))
     surface = compact(Surface(everything, np.vstack(triangles), np.concatenate(label)))
