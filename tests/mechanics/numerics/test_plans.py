@@ -15,7 +15,7 @@ from lacli.contracts.scene import build_scene
 from lacli.mechanics import plan
 
 # METHODS["runs"], and the digest of the plans below
-KEPT = (2, "b15daf1a75c4629f")
+KEPT = (3, "b15daf1a75c4629f")
 LOADS = ("loads.edp_mmhg=8", "loads.esp_mmhg=18", "loads.vein_spring_kpa_per_um=0")
 SCENES = [
     LOADS,
