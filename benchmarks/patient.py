@@ -1,15 +1,15 @@
 """One patient from end to end with the truth known: targets with drawn, correlated noise; runs, posterior. Synthetic atrium.
 
     python benchmarks/patient.py [--cell-size-mm 6] [--order 1] [--seed 1] [--truths 1 2 3] [--few] [--shared] [--reference 200]
-                                 [--real] [--cheap order=1] [--warm] [--out DIR] [--json]
+                                 [--real] [--cheap order=1] [--warm] [--set pericardium.dents=true] [--out DIR] [--json]
 
 Each truth is drawn from the inner part of the box and simulated; its 90 targets (magnitudes, components along normal and
 universal coordinates, area strain and volume, at end-systole and in three frames) get errors of 0.2 mm, 5 % of the
 end-diastolic volume and 0.02 of strain, correlated between frames (.5) and between features of a region's motion (.3), and are
 calibrated against. With --shared a truth starts from the runs of those before it that lie nearest to its targets (those are not
 counted; truth 3005 is a run of truth 3's calibration, the fifth from its end, and not among those). --real: the anatomy is a real
-one (Rodero et al. 2021, case 01). --cheap, --warm: as of `lacli calibrate`. Kept in DIR, and gone on with. Printed: asked beside
-measured.
+one (Rodero et al. 2021, case 01). --cheap, --warm, --set: as of `lacli calibrate`. Kept in DIR, and gone on with. Printed: asked
+beside measured.
 """
 
 from __future__ import annotations
@@ -246,6 +246,9 @@ def main() -> None:
     parser.add_argument("--reference", type=int, default=0, help="so many draws of the posterior are run, to weigh them anew")
     parser.add_argument("--cheap", nargs="+", default=[], help="key=value of the cheap runs that few of the others correct")
     parser.add_argument("--warm", action="store_true", help="runs start from the nearest that has ended")
+    parser.add_argument(
+        "--set", action="append", default=[], dest="overrides", help="key=value of the scene (pericardium.dents=true)"
+    )
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, help="where everything is kept (and found again); else it is thrown away")
     parser.add_argument("--json", action="store_true")
@@ -261,7 +264,10 @@ def main() -> None:
             save_motion(motion, folder)
         box = published_box()
         scene = build_scene(
-            {"anatomy": {"bundle": str(folder)}}, [f"numerics.order={choice.order}"], folder=folder, where="patient"
+            {"anatomy": {"bundle": str(folder)}},
+            [f"numerics.order={choice.order}", *choice.overrides],
+            folder=folder,
+            where="patient",
         )
         es = 0.4
         names = OUTPUTS if choice.few else names_of(es)
