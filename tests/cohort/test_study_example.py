@@ -99,5 +99,5 @@ def test_the_study_from_images_hands_each_patient_s_images_on(tmp_path: Path) ->
 
 
 def test_the_settings_of_the_examples_are_options_of_the_commands() -> None:
-    for name in ("study.toml", "gated.toml"):
+    for name in ("study.toml", "two_fidelities.toml", "gated.toml"):
         _check_options(ROOT / "examples" / name)
