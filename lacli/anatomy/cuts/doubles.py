@@ -23,6 +23,8 @@ def part_doubles(points: FloatArray, cap: IntArray, wall: IntArray, normal: Floa
     turned, own = _turned_keys(wall[beside][:, ::-1], size), _turned_keys(cap, size)
     stays = np.ones(len(wall), dtype=bool)
     stays[beside[np.isin(turned, own)]] = False
+    if not stays.any():  # a wall that is nothing but its cap: left to whoever asks for a volume
+        return np.empty((0, 3)), cap, np.ones(len(wall), dtype=bool)
     cap = cap[~np.isin(own, turned)]
     beside = beside[stays[beside]]
     if len(beside) == 0 or len(cap) == 0:
