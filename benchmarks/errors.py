@@ -106,6 +106,8 @@ def collect(
     rows = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()] if file.is_file() else []
     known = {(row["seed"], row["order"], row["cell_size_mm"]) for row in rows}
     for seed in seeds:
+        if any(row["seed"] == seed and row["inputs"] != drawn(seed, spread)[1] for row in rows):
+            raise SystemExit(f"{file}: seed {seed} has runs of another --inner or --alpha-times; take another folder or seeds.")
         for order, cell_mm in choices:
             if (seed, order, cell_mm) in known:
                 continue
@@ -168,7 +170,7 @@ class Fit:
     features: dict[str, float]
 
     def typical(self, d: Difference) -> float:
-        """The logarithm of the typical error's share of the scale, on a wall that does not snap through."""
+        """The logarithm of the typical error's share of the scale."""
         a, b = d.where.slopes
         return self.features[family(d.name)] + self.h * a + self.t * b
 
@@ -235,15 +237,7 @@ def over_the_box(folder: Path, rows: list[dict[str, Any]], finest_mm: float, wri
         if order == 1:
             known = document["orders"]["1"]
             known |= {"factor": known["factor"] * by, "anatomies": len(ratios), "coverage": float(np.mean(covered))}
-    head = [
-        "order",
-        "anatomies",
-        "within twice the stated (%)",
-        "factor",
-        "unseen, with it (%)",
-        "worst anatomy (%)",
-        "asked (%)",
-    ]
+    head = ["order", "anatomies", "within twice (%)", "factor", "unseen, with it (%)", "worst anatomy (%)", "asked (%)"]
     print_table("The built-in model over the box", head, table)
     print_table("Anatomies", ["order", "seed", "Laplace's measure", "true over stated", "within twice (%)"], apart)
     if write:

@@ -164,8 +164,12 @@ def one(
     kind = "few" if choice.few else "many"
     folder = out / f"{kind}_{number}"
     kept = folder / "row.json"
+    told = ("seed", "real", "cell_size_mm", "order", "cheap", "warm", "overrides", "shared", "reference")
+    made_by = {name: getattr(choice, name) for name in told}
     if kept.is_file():
         row: dict[str, Any] = json.loads(kept.read_text())
+        if row.get("made by") != made_by:
+            raise SystemExit(f"{kept}: was made with other options ({row.get('made by')}); take another --out.")
         return row
     rng = np.random.default_rng(number)
     of_runs = runs_identity(run, box.names, names)
@@ -199,6 +203,7 @@ def one(
     alpha = {str(r["input"]): float(r["sd"]) for r in found.table if str(r["input"]).startswith("alpha_")}
     within = inside(found, truth)
     row = {
+        "made by": made_by,
         "truth": number, "runs to the MAP": found.map_runs - given, "runs in all": found.runs - given, "runs given": given,
         "failed runs": found.failed, "chi2": found.misfit, "targets": len(names), "left out": len(found.left_out),
         "largest sd of alpha": max(alpha.values()), "sd of alpha": alpha, "inside": sum(within), "of": box.d,

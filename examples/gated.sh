@@ -2,8 +2,8 @@
 # A study from gated images to the report, of synthetic patients whose motion and stiffness are known:
 #   bash examples/gated.sh [RESULTS_FOLDER [PATIENTS]]
 # Each patient has a label map and a CT of end-diastole and gated frames of a whole cycle, and what is known of its pressures and
-# pericardium: the ranges that these are drawn from. The study meshes, measures fat, tracks, calibrates and compares. PATIENTS: 2, or 10 as in the published study. From the environment: VOXEL_MM (1.5), of the images;
-# FRAMES (10); SETTINGS and SCENE (gated.toml and gated_scene.toml beside this file).
+# pericardium: the ranges that these are drawn from. The study meshes, measures fat, tracks, calibrates and compares. PATIENTS: 2, or
+# 10 as in the published study. From the environment: VOXEL_MM (1.5), of the images; FRAMES (10); SETTINGS and SCENE (gated.toml and gated_scene.toml beside this file).
 # Started again it goes on where it was.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/patients.sh"
@@ -35,9 +35,10 @@ from pathlib import Path
 import pandas as pd
 import tomli_w
 
+from lacli.contracts.priors import prior_tables
 from lacli.synthetic.cohort import load_priors
 
-known = {"priors": {prior.name: prior.table() for prior in load_priors()}}
+known = {"priors": prior_tables(load_priors())}
 (Path(sys.argv[1]) / "priors.toml").write_text(tomli_w.dumps(known))
 found = sorted(Path(sys.argv[1]).glob("sub-*/gated/truth/parameters.json"))
 rows = [{"participant_id": file.parts[-4], **json.loads(file.read_text())} for file in found]

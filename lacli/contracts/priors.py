@@ -88,6 +88,11 @@ class Prior:
         return math.log(self.mean) - 0.5 * spread**2, spread
 
 
+def prior_tables(priors: Sequence[Prior]) -> dict[str, dict[str, Any]]:
+    """The tables by name that ``read_priors`` reads."""
+    return {prior.name: prior.table() for prior in priors}
+
+
 def read_prior_file(path: Path) -> tuple[Prior, ...]:
     """Priors of a file that has them alone, tables ``[priors.NAME]``. Raises TableError with the key at fault."""
     document = read_toml(path, error=TableError, missing="no such file of priors. Write a table [priors.NAME] for each input")

@@ -16,7 +16,7 @@ from lacli.base.documents import brief, read_toml
 from lacli.base.errors import TableError
 from lacli.base.notes import note
 from lacli.contracts.features import KEYS
-from lacli.contracts.priors import Prior, read_priors
+from lacli.contracts.priors import Prior, prior_tables, read_priors
 from lacli.contracts.tables.absent import CODES, is_code
 from lacli.contracts.tables.covariance import read_covariance, write_covariance
 from lacli.contracts.tables.discrepancy import read_discrepancies
@@ -186,5 +186,5 @@ def write_targets(path: Path, targets: Targets) -> None:
         for name, mean, sd in zip(targets.names, targets.mean, targets.sd, strict=True)
     }
     if targets.priors:
-        document["priors"] = {prior.name: prior.table() for prior in targets.priors}
+        document["priors"] = prior_tables(targets.priors)
     path.write_text(tomli_w.dumps(document), encoding="utf-8")

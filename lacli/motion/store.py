@@ -18,6 +18,7 @@ from lacli.base.files import replacing, write_json, write_text
 from lacli.base.schema import write_arrays
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.features import kind_of, parse
+from lacli.contracts.priors import prior_tables
 from lacli.contracts.tables.covariance import write_covariance
 from lacli.geometry.subdivision import straight
 from lacli.motion.annulus import annulus_points
@@ -111,7 +112,7 @@ def write_covaried(folder: Path, found: Covaried, phases: Phases, engine: str) -
         "targets": tables,
     }
     if found.targets.priors:
-        document["priors"] = {prior.name: prior.table() for prior in found.targets.priors}
+        document["priors"] = prior_tables(found.targets.priors)
     write_covariance(folder / COVARIANCE, found.targets.names, found.covariance)
     write_text(folder / "targets.toml", tomli_w.dumps(document))
 
