@@ -150,9 +150,10 @@ def test_a_wall_that_snaps_through_arrives_at_the_load_it_has(tmp_path: Path) ->
     assert features["steps_back"] == 0 and features["load_steps"] == 2
     assert features["newton_iterations"] > 50  # else this is no such way
     assert features["es_unstable_modes"] == 0
-    # the last tangent that was factorised gave a step beyond the tolerance: its factors alone found the state
+    # the last tangent that was factorised gave a step beyond the tolerance (by how much hangs on the way, and so on how a processor
+    # rounds): its factors alone found the state
     steps = re.findall(r"phase=reservoir .* move=(\S+) viscosity=0$", (run.folder / "solver.log").read_text(), re.MULTILINE)
-    assert chosen.numerics.tolerance_mm < float(steps[-1]) < 0.1
+    assert float(steps[-1]) > chosen.numerics.tolerance_mm
 
 
 def test_out_of_time_in_the_unloaded_state_loses_that_state_alone(folder: Path, tmp_path: Path, monkeypatch) -> None:

@@ -24,20 +24,13 @@ from lacli.mechanics.simulation import RunResult, run_scene
 from lacli.report.page.run import run_page
 from lacli.synthetic.atrium import synthesize
 
-# a soft point of the calibration's box around which the roof of a coarse atrium has two equilibria
+# A soft point of the calibration's box at which a coarse atrium has two equilibria, far apart (2.9 mm, 259 uJ): where they are about
+# to become one, what is found hangs on how a processor rounds. These are the same with all kernels of OpenBLAS (OPENBLAS_CORETYPE).
 SOFT = {
-    **{"alpha_anterior": 0.4357, "alpha_posterior": 1.24, "alpha_septum": 1.608, "alpha_lateral": 0.7207, "alpha_roof": 0.4571},
-    **{"edp_mmhg": 10.37, "esp_mmhg": 22.08, "k_peri_kpa_per_um": 0.00436, "pth": 0.6884},
+    **{"alpha_anterior": 1.2621, "alpha_posterior": 1.2591, "alpha_septum": 0.9071, "alpha_lateral": 0.1894, "alpha_roof": 0.2399},
+    **{"edp_mmhg": 4.6243, "esp_mmhg": 35.1225, "k_peri_kpa_per_um": 0.0018, "pth": 0.7622},
 }
-# where it does hangs on some percent of an input, and on how a processor rounds: the first of these at which it is so here
-NEARBY = (
-    {},
-    {"alpha_anterior": 0.9},
-    {"k_peri_kpa_per_um": 0.9},
-    {"alpha_anterior": 0.85},
-    {"alpha_roof": 0.95},
-    {"alpha_roof": 1.1},
-)
+MORE_MMHG = 0.05
 QUICK = ("numerics.order=1", "outputs.fields=none", "outputs.unloaded=false")
 
 
@@ -55,19 +48,14 @@ def ball(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 
 @pytest.fixture(scope="module")
 def soft(tmp_path_factory: pytest.TempPathFactory, freefem: FreeFem) -> Scene:
-    """A synthetic atrium, wall 2 mm, linear cells of 8 mm, of two equilibria the second way's lower; with .2 mmHg more too."""
+    """A synthetic atrium, wall 2 mm, linear cells of 8 mm, of two equilibria the second way's lower."""
     folder = tmp_path_factory.mktemp("soft")
     bundle, motion = synthesize(1, None, thickness_mm=2.0, cell_size_mm=8.0)
     bundles.save(bundle, folder / "bundle")
     save_motion(motion, folder / "bundle")
     settings = [*QUICK, "outputs.sensitivities=true"]
     base = build_scene({"anatomy": {"bundle": "bundle"}}, settings, folder=folder, where="test")
-    for times in NEARBY:
-        scene = with_parameters(base, SOFT | {name: SOFT[name] * factor for name, factor in times.items()})
-        loads = (with_parameters(twice(scene), {"esp_mmhg": SOFT["esp_mmhg"] + more}) for more in (0.0, 0.2))
-        if all(states(run_scene(loaded, folder / "tried")) == (2, 2) for loaded in loads):
-            return scene
-    raise AssertionError("none of these walls has two equilibria")
+    return with_parameters(base, SOFT)
 
 
 @pytest.fixture(scope="module")
@@ -145,17 +133,17 @@ def test_of_two_equilibria_the_one_with_less_energy_is_the_result(both: tuple[Ru
 
 def test_energies_follow_the_pressure_by_the_volumes(both: tuple[RunResult, RunResult], soft: Scene, root: Path) -> None:
     """Of equilibria the potential's derivative by the cavity pressure is minus the volume (the other terms are stationary): with
-    .2 mmHg more, .0266644 kPa, the difference of both energies changes by that times the difference of both volumes (kPa mL are
-    1000 uJ)."""
+    .05 mmHg more, .0066661 kPa, the difference of both energies changes by that times the difference of both volumes (kPa mL are
+    1000 uJ; the mean of its ends errs by the square of the step, and by much of it where a branch is about to end)."""
     once, asked = both
-    scene = with_parameters(twice(soft), {"esp_mmhg": SOFT["esp_mmhg"] + 0.2})
+    scene = with_parameters(twice(soft), {"esp_mmhg": SOFT["esp_mmhg"] + MORE_MMHG})
     scene = scene.model_copy(update={"outputs": scene.outputs.model_copy(update={"fields": "es"})})
     more = run_scene(scene, root)
     found = [run.features["equilibria"] for run in (asked, more)]
     assert [(one["found"], one["kept"]) for one in found] == [(2, 2), (2, 2)]
     apart = [run.features["equilibria_spread"]["esv_ml"] for run in (asked, more)]
     larger = asked.features["esv_ml"] > once.features["esv_ml"]
-    expected = (1.0 if larger else -1.0) * 0.0266644 * 1000.0 * sum(apart) / 2
+    expected = (1.0 if larger else -1.0) * 0.0066661 * 1000.0 * sum(apart) / 2
     assert found[1]["energy_above_uj"] - found[0]["energy_above_uj"] == pytest.approx(expected, rel=0.01)
     # and the other one is there to be looked at
     other = meshio.read(more.folder / "fields" / "es_other.vtu").points
