@@ -30,7 +30,7 @@ from lacli.contracts.scene import Scene
 METHODS: dict[str, int] = {
     "runs": 3, "calibration": 4, "emulators": 1, "region": 2, "chain": 3, "accuracy": 2, "figures": 1, "result": 1,
     # of a study's steps alone, whose marks have all numbers
-    "anatomy": 4, "motion": 3, "comparison": 4,
+    "anatomy": 5, "motion": 3, "comparison": 4,
 }  # fmt: skip
 _SHOWN = 6  # differences named in a message
 _EXACT = 2**53  # whole numbers below it are the same as floats

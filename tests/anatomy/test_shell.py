@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from shapes import HEIGHT, RADIUS, cut_ball, icosphere
@@ -13,6 +15,7 @@ from lacli.contracts.labels import ENDO, EPI, OTHER
 from lacli.geometry import tetrahedra as cells
 from lacli.geometry.quadrature import enclosed_volume_ml
 from lacli.geometry.surface import Surface, defects
+from lacli.synthetic.atrium import cavity, sized
 
 
 def volume_between(bundle: object) -> float:
@@ -40,6 +43,17 @@ def test_layers_and_straight_cells() -> None:
     assert sorted(np.unique(bundle.transmural.round(6))) == pytest.approx([0, 1 / 3, 2 / 3, 1], abs=1e-6)
     exact = 4 / 3 * np.pi * RADIUS**3 / 1000
     assert bundle.cavity_volume_ml() == pytest.approx(exact, rel=3e-3)  # straight cells keep the volume, not the points
+
+
+def test_what_processors_round_differently_makes_no_other_mesh() -> None:
+    """OpenBLAS's kernels alone move the points of this surface by some 1e-14 of their size."""
+    surface = cavity(sized(1))
+    first = mesh_shell(surface, 2.0, 8.0)
+    for seed in range(3):
+        noise = 1.0 + 3e-15 * np.random.default_rng(seed).standard_normal(surface.points.shape)
+        other = mesh_shell(replace(surface, points=surface.points * noise), 2.0, 8.0)
+        assert (other.tets == first.tets).all()
+        assert other.points == pytest.approx(first.points, abs=1e-9)
 
 
 def test_a_graded_wall_is_as_thick_as_asked() -> None:

@@ -6,7 +6,7 @@ and each prism is cut into three tetrahedra. With 10-node cells the middles of t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -66,6 +66,8 @@ def mesh_shell(
     range, or cells stay inverted.
     """
     check(cavity, "cavity surface")
+    # to a tenth of a micrometre: what rounding differs by between processors would turn one edge, and so make another mesh
+    cavity = replace(cavity, points=np.round(cavity.points, 4))
     thickness = np.broadcast_to(np.asarray(thickness_mm, dtype=np.float64), (len(cavity.points),))
     if not np.isfinite(thickness).all() or thickness.min() <= 0:
         raise AnatomyError("The wall thickness must be positive and finite everywhere (mm).")
