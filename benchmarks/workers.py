@@ -71,9 +71,9 @@ def simulated(workers: int, each: int, seconds: float, folder: Path) -> dict[str
     words = [["scheduler", "--port", "0", *common]]
     threads = [str(workers // processes + (k < workers % processes)) for k in range(processes)]
     words += [["worker", "--no-nanny", "--nthreads", n, "--local-directory", str(folder), *common] for n in threads]
-    started = [
-        subprocess.Popen([sys.executable, "-m", "dask", *w], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) for w in words
-    ]
+    quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    with_environment = {**os.environ, "DASK_DISTRIBUTED__SCHEDULER__WORKER_SATURATION": "1.0"}  # as the README says
+    started = [subprocess.Popen([sys.executable, "-m", "dask", *w], env=with_environment, **quiet) for w in words]
     try:
         until = time.monotonic() + _JOIN_S
         while not file.is_file() and time.monotonic() < until:

@@ -55,11 +55,14 @@ def workers(settings: Settings, logs: Path) -> Iterator[tuple[str, Callable[[int
     if shutil.which("sbatch") is None:
         raise UsageError("--slurm: there is no sbatch here; call it where SLURM's commands are, or write a script elsewhere.")
     try:
+        import dask
         from dask_jobqueue import SLURMCluster
     except ImportError as error:
         raise UsageError("--slurm needs dask-jobqueue: pip install 'lacli[cluster]'.") from error
     chosen = {**_DEFAULTS, **settings.slurm}
     interface = {"interface": chosen["interface"]} if "interface" in chosen else {}
+    # a worker that has a task has enough: one that waits behind a long one would idle another worker
+    dask.config.set({"distributed.scheduler.worker-saturation": 1.0})
     cluster = SLURMCluster(
         cores=1,  # a patient at a time in a job
         processes=1,

@@ -12,6 +12,7 @@ import logging
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from types import SimpleNamespace
@@ -117,15 +118,17 @@ def _series(
     topic = f"lacli-{uuid4().hex}"
     running: dict[int, Any] = {}
 
-    def submit(index: int) -> None:
-        future = client.submit(_on_worker, body, tasks[index], index, topic, pure=False)
-        future.add_done_callback(lambda settled: events.put(("done", index, settled)))
-        running[index] = future
+    def submit(*indices: int) -> None:
+        # at once: of many that wait for nothing Dask then keeps those that no thread is free for, instead of giving them out
+        which = [tasks[index] for index in indices]
+        futures = client.map(partial(_on_worker, body, topic), which, indices, pure=False, batch_size=None)
+        for index, future in zip(indices, futures, strict=True):
+            future.add_done_callback(lambda settled, index=index: events.put(("done", index, settled)))
+            running[index] = future
 
     client.subscribe_topic(topic, lambda event: events.put(("progress", *_unpacked(event[1]))))
     try:
-        for index in range(len(tasks)):
-            submit(index)
+        submit(*range(len(tasks)))
         looked = time.monotonic()
         while running:
             if time.monotonic() - looked > _LOOK_EVERY_S:
@@ -185,7 +188,7 @@ def _outcome(future: Any) -> tuple[str, Any]:
     return "error", error
 
 
-def _on_worker(body: Body, arguments: tuple[Any, ...], index: int, topic: str) -> tuple[str, Any]:
+def _on_worker(body: Body, topic: str, arguments: tuple[Any, ...], index: int) -> tuple[str, Any]:
     """A task, in a thread of a worker; it is told when it is no longer wanted or the worker closes."""
     from distributed import Status, get_worker
 
