@@ -150,7 +150,7 @@ def test_a_wall_that_snaps_through_arrives_at_the_load_it_has(tmp_path: Path) ->
     assert features["steps_back"] == 0 and features["load_steps"] == 2
     assert features["newton_iterations"] > 50  # else this is no such way
     assert features["es_unstable_modes"] == 0
-    # the last tangent that was factorised gave a step beyond the tolerance (by how much hangs on the way, and so on how a processor
+    # the last tangent that was factorised gave a step beyond the tolerance (by how much hangs on the way, so on how a processor
     # rounds): its factors alone found the state
     steps = re.findall(r"phase=reservoir .* move=(\S+) viscosity=0$", (run.folder / "solver.log").read_text(), re.MULTILINE)
     assert float(steps[-1]) > chosen.numerics.tolerance_mm

@@ -41,8 +41,8 @@ def test_the_chain_is_soon_through_the_sheet_and_its_moments_are_right() -> None
     # a sample's sd errs by sqrt((k - 1) / 4 n) of it: k = 3 of a normal distribution, 5.7 of sinh(a Z); n = 5000: 1.0, 1.5 %
     assert x[:, [0, 5, 6, 7, 8]].std(0) == pytest.approx(1.0, rel=0.035)
     assert x[:, 1:5].std(0) == pytest.approx(sd[1:5], rel=0.05)
-    # the arms have their weight: P(|Z| > 2.5) = 0.0124, and over 20 seeds its estimates scatter by 0.0020: walkers stay long in an
-    # arm's end; P(|Z| > 1.96) = 0.05
+    # the arms have their weight: P(|Z| > 2.5) = 0.0124, and over 20 seeds its estimates scatter by 0.0020, for walkers stay long
+    # in an arm's end; P(|Z| > 1.96) = 0.05
     assert (np.abs(x[:, 0]) > 2.5).mean() == pytest.approx(0.0124, abs=0.008)
     assert np.quantile(x[:, 0], [0.025, 0.975]) == pytest.approx([-1.96, 1.96], abs=0.1)
 
