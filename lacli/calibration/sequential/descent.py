@@ -1,8 +1,8 @@
 """Damped Gauss-Newton on real runs: from several starts, which share their runs, to the most probable point.
 
 Each round runs two trials side by side: the Levenberg-Marquardt step of the best run's own derivatives, and the lowest point of
-the emulator of all runs within the trust radius; where the two are the same, the next start's step takes the second place.
-(Levenberg 1944, Marquardt 1963; the damping as Nielsen 1999.)
+the emulator of all runs within the trust radius; where the two are the same, the step of the next start that has not come to the
+same place takes the second one. (Levenberg 1944, Marquardt 1963; the damping as Nielsen 1999.)
 """
 
 from __future__ import annotations
@@ -21,16 +21,19 @@ _RADIUS = 0.35  # of a trial's step, in widths of the box
 _SAME = 0.02  # two trials as near as this are one
 _DAMPING = 1e-3  # first, of the mean diagonal of J' J
 SETTLED = 0.5  # decrease of chi^2 still expected, below which a point is the lowest: a quarter of a posterior sd in one direction
+_IDLE = 2  # rounds in a row that did not lower the best point's chi^2 by as much
+_UNMET = 2.0  # decrease expected, and not met in so many rounds, that is the runs' own scatter: early frames jump by a branch
 
 
 @dataclass(frozen=True)
 class Incumbent:
-    """The best point that a start has reached: its z (d,), damping and trust radius."""
+    """The best point that a start has reached: its z (d,), damping and trust radius, rounds in a row that gained nothing."""
 
     z: FloatArray
     damping: float = _DAMPING
     growth: float = 2.0
     radius: float = _RADIUS
+    idle: int = 0
 
 
 @dataclass(frozen=True)
@@ -80,22 +83,30 @@ def trials(evidence: Evidence, incumbents: list[Incumbent], components: Componen
     best = incumbents[order[0]]
     row = at(evidence, best.z)
     now = float(evidence.misfit[row])
-    found: list[Trial] = []
+    own: list[Trial] = []
     step, expected = levenberg(evidence.residual[row], evidence.jacobian[row], best.z, best.damping, best.radius)
-    found.append(Trial(best.z + step, expected, order[0]))
+    own.append(Trial(best.z + step, expected, order[0]))
     if components is not None:
         z, misfit = lowest(components, best.z, best.radius)
-        found.append(Trial(z, now - misfit, order[0]))
-        if max(now - misfit, expected) < SETTLED and best.radius > 0.05:
+        own.append(Trial(z, now - misfit, order[0]))
+        most = max(now - misfit, expected)
+        if (most < SETTLED and best.radius > 0.05) or (most < _UNMET and best.idle >= _IDLE):
             return []
+        if not _same(own[0].z, z):
+            return own
     for i in order[1:]:
-        if len(found) > 1 and np.abs(found[0].z - found[1].z).max() > _SAME:
-            break
         other = incumbents[i]
+        if _same(other.z, best.z):
+            continue  # it has come to the best one's place
         row = at(evidence, other.z)
         step, expected = levenberg(evidence.residual[row], evidence.jacobian[row], other.z, other.damping, other.radius)
-        found = [found[-1], Trial(other.z + step, expected, i)]
-    return found[:2]
+        if not _same(other.z + step, own[-1].z):
+            return [own[-1], Trial(other.z + step, expected, i)]
+    return own[-1:]
+
+
+def _same(z: FloatArray, other: FloatArray) -> bool:
+    return bool(np.abs(z - other).max() <= _SAME)
 
 
 def advance(evidence: Evidence, incumbents: list[Incumbent], tried: list[Trial]) -> list[Incumbent]:
@@ -116,12 +127,13 @@ def advance(evidence: Evidence, incumbents: list[Incumbent], tried: list[Trial])
                 damping=incumbent.damping * incumbent.growth,
                 growth=2.0 * incumbent.growth,
                 radius=0.5 * incumbent.radius,
+                idle=incumbent.idle + 1,
             )
             continue
         ratio = gain / max(expected, 1e-12)
         damping = incumbent.damping * max(1.0 / 3.0, 1.0 - (2.0 * min(ratio, 1.0) - 1.0) ** 3)
         radius = min(_RADIUS, incumbent.radius * (1.5 if ratio > 0.5 else 0.7 if ratio < 0.1 else 1.0))
-        after[start] = Incumbent(best.z, damping, 2.0, radius)
+        after[start] = Incumbent(best.z, damping, 2.0, radius, 0 if gain > SETTLED else incumbent.idle + 1)
     return after
 
 
