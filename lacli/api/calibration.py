@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypedDict, Unpack, overload
 
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
         fresh: bool
         retry: bool
         discretisation: bool
-        cheap: Sequence[str]
+        cheap: Sequence[str] | None
         figures: bool
         progress: OnProgress | None
         cancel: Cancel | None
@@ -109,7 +110,7 @@ def calibrate(
     fresh: bool = False,
     retry: bool = False,
     discretisation: bool = True,
-    cheap: Sequence[str] = (),
+    cheap: Sequence[str] | None = None,
     figures: bool = False,
     progress: OnProgress | None = None,
     cancel: Cancel | None = None,
@@ -132,18 +133,17 @@ def calibrate(
     whether the targets' errors are widened by the scene's discretisation errors, measured or by the model (no, where the
     targets come from the very same numerics; a table says its own). cheap: of the sequential method, ``key=value`` of numerics
     (``order=1``), or of ``anatomy.bundle`` (coarser cells): with them most runs are made, and about ten of the scene's own
-    (``settings.reference_runs`` at most) correct them. Called again it goes on, and ends as if it had not been
-    interrupted. Raises LacliError where no point of the box reaches the targets or too few runs finish, UsageError, TableError,
-    AnatomyError, SolverMissingError, StorageError, Cancelled.
+    (``settings.reference_runs`` at most) correct them; None: linear cells where the scene's are quadratic, empty: none. Called
+    again it goes on, and ends as if it had not been interrupted. Raises LacliError where no point of the box reaches the targets
+    or too few runs finish, UsageError, TableError, AnatomyError, SolverMissingError, StorageError, Cancelled.
     """
     from lacli.api.methods import published, sequential
     from lacli.api.methods.calibrated import Work
     from lacli.calibration.calibration import Settings as PublishedSettings
+    from lacli.calibration.sequential.fidelity.companion import usual
     from lacli.calibration.sequential.search import Settings as SequentialSettings
 
-    work = Work(
-        box, store, workers, scheduler, sensitivities, fresh, retry, discretisation, figures, progress, cancel, tuple(cheap), warm
-    )
+    work = Work(box, store, workers, scheduler, sensitivities, fresh, retry, discretisation, figures, progress, cancel, warm=warm)
     if (scene is None) == (table is None):
         raise UsageError("calibrate: give either a scene to simulate, or a table of runs done elsewhere.")
     if method is None:
@@ -155,6 +155,8 @@ def calibrate(
             raise UsageError(
                 "calibrate: the sequential method needs a scene whose runs tell derivatives, targets, its own settings."
             )
+        carried = tuple(usual(scene) if cheap is None else cheap)
+        work = replace(work, cheap=carried)
         if dry_run:
             return sequential.prices(scene, targets, folder, settings, work)
         if forecast:

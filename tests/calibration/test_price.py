@@ -54,9 +54,9 @@ def test_runs_that_began_warm_are_known(scene: Scene, tmp_path: Path, way: str) 
 def test_a_calibration_s_price_is_told_by_kind_of_run_and_nothing_is_run(scene: Scene, tmp_path: Path) -> None:
     targets = lacli.Targets(("esv_ml",), [90.0], [4.0])  # type: ignore[arg-type]
     settings = lacli.types.SequentialSettings(max_runs=40, reference_runs=9)
-    (own,) = lacli.calibrate(scene, targets, tmp_path / "c", settings=settings, dry_run=True)
+    (own,) = lacli.calibrate(scene, targets, tmp_path / "c", settings=settings, cheap=(), dry_run=True)
     assert (own.name, own.runs) == ("the scene's own", 40)
-    own, cheap = lacli.calibrate(scene, targets, tmp_path / "c", settings=settings, cheap=["order=1"], dry_run=True)
+    own, cheap = lacli.calibrate(scene, targets, tmp_path / "c", settings=settings, dry_run=True)
     assert (own.runs, cheap.runs, cheap.name) == (9, 40, "cheap: order=1")
     assert cheap.each.cpu_s < own.each.cpu_s
     assert not (tmp_path / "c").exists()

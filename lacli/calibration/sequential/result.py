@@ -136,8 +136,7 @@ def result_of(
         notes.append(
             "the best run's misfit is what errors of the model (of discretisation, and discrepancies stated) "
             f"{larger.value:.1f} times as large as stated would leave (95 %: {larger.low:.1f} - {larger.high:.1f}): they were "
-            "taken for so large, and the posterior is wider for it. Finer numerics (--cheap with a scene of quadratic cells) "
-            "would tell more."
+            "taken for so large, and the posterior is wider for it. Finer numerics (quadratic cells) would tell more."
         )
     table = mcmc.summary(chain, map_x, box, targets.priors)
     notes += unlearned(table)

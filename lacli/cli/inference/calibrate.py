@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lacli.base.errors import LacliError, UsageError
-from lacli.cli.inference.sought import seek_and_show, show_forecast, show_posterior, show_prices, time_of
+from lacli.cli.inference.sought import carriers, seek_and_show, show_forecast, show_posterior, show_prices, time_of
 from lacli.cli.terminal.console import err, out, print_json, print_table
 from lacli.cli.terminal.scenes import read_scene
 from lacli.cli.terminal.tables import BoxFile, Fresh, Json, Retry, Seed
@@ -93,7 +93,8 @@ def command(
             "--cheap",
             metavar="KEY=VALUE",
             help="sequential: most runs with these numerics (order=1, anatomy.bundle=...), corrected "
-            "by about ten of the scene's own; may be repeated.",
+            "by about ten of the scene's own; may be repeated. Where not given: order=1 for a scene of quadratic cells; "
+            "none: all runs are the scene's own.",
         ),
     ] = None,
     reference_runs: Annotated[
@@ -140,16 +141,17 @@ def command(
         if of_waves:
             raise UsageError(f"--method sequential makes no waves: {', '.join(of_waves)} is of the published method.")
         space = read_box(box_file) if box_file else published_box()
-        if reference_runs and not cheap:
-            raise UsageError("--reference-runs goes with --cheap.")
         budgets = {"max_runs": max_runs or Sought.max_runs, "reference_runs": reference_runs or Sought.reference_runs}
         options: dict[str, Any] = {
-            "box": space, "cheap": cheap or (),
+            "box": space,
             "settings": Sought(**budgets, infer_errors=infer_errors, seed=seed, mcmc=Sampling(ess=ess)),
             "store": root, "workers": workers, "scheduler": scheduler, "fresh": fresh, "retry": retry,
             "discretisation": discretisation, "warm": warm,
         }  # fmt: skip
         patient, wanted = read_scene(scene_file, overrides, space), read_targets(targets_file)
+        options["cheap"] = carriers(patient, cheap)
+        if reference_runs and not options["cheap"]:
+            raise UsageError("--reference-runs: how many runs correct cheap ones, and none are made here (--cheap order=1).")
         if dry_run:
             show_prices(patient, wanted, folder, as_json, **{key: options[key] for key in ("settings", "store", "cheap")})
         elif forecast:

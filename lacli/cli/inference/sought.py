@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lacli.base.errors import LacliError
+from lacli.base.errors import LacliError, UsageError
 from lacli.cli.terminal.console import err, one_bar, out, print_json, print_table
 
 if TYPE_CHECKING:
@@ -17,6 +17,19 @@ if TYPE_CHECKING:
     from lacli.calibration.sequential.result import Sequential
     from lacli.contracts.scene import Scene
     from lacli.contracts.targets import Targets
+
+
+def carriers(scene: Scene, said: Sequence[str] | None) -> tuple[str, ...]:
+    """What `--cheap` says, of a scene: nothing said is what is usual, ``none`` nothing. Raises UsageError."""
+    from lacli.calibration.sequential.fidelity.companion import usual
+
+    if said is None:
+        return usual(scene)
+    if "none" in said:
+        if len(said) > 1:
+            raise UsageError(f"--cheap {' --cheap '.join(said)}: none goes alone.")
+        return ()
+    return tuple(said)
 
 
 def show_forecast(scene: Scene, targets: Targets, folder: Path, as_json: bool, **options: Any) -> None:

@@ -36,7 +36,12 @@ def test_the_sequential_method_is_the_default_and_tells_before_what_can_be_learn
     simulator = Membranes()
     monkeypatch.setattr("lacli.calibration.simulator.simulator", lambda *_, **__: simulator)
     mcmc = lacli.types.SamplingSettings(ess=300, rhat=1.1, max_steps=600)
-    given: dict[str, Any] = {"box": box(), "settings": lacli.types.SequentialSettings(mcmc=mcmc), "discretisation": False}
+    given: dict[str, Any] = {
+        "box": box(),
+        "settings": lacli.types.SequentialSettings(mcmc=mcmc),
+        "discretisation": False,
+        "cheap": (),
+    }
     heard: list[str] = []
     told = lacli.calibrate(scene, TARGETS, tmp_path / "c", forecast=True, progress=lambda e: heard.append(e.stage), **given)
     assert told.inputs == INPUTS and (told.expected_sd < told.prior_sd).all()

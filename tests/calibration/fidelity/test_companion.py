@@ -14,7 +14,8 @@ from shapes import hollow_cube
 from typer.testing import CliRunner
 
 from lacli.base.errors import AnatomyError, SceneError, UsageError
-from lacli.calibration.sequential.fidelity.companion import companion
+from lacli.calibration.sequential.fidelity.companion import companion, usual
+from lacli.cli.inference.sought import carriers
 from lacli.cli.main import build
 from lacli.contracts.bundle import save
 from lacli.contracts.identity import run_key
@@ -36,6 +37,17 @@ def place(tmp_path: Path) -> Path:
 @pytest.fixture
 def scene(place: Path) -> Scene:
     return load_scene(place / "scene.toml")
+
+
+def test_linear_cells_carry_a_scene_of_quadratic_ones_unless_it_is_said_otherwise(scene: Scene) -> None:
+    linear = companion(scene, ["order=1"])
+    assert (scene.numerics.order, linear.numerics.order) == (2, 1)
+    assert usual(scene) == carriers(scene, None) == ("order=1",)
+    assert usual(linear) == carriers(linear, None) == ()
+    assert carriers(scene, ["none"]) == ()
+    assert carriers(scene, ["order=1", "kappa_kpa=100"]) == ("order=1", "kappa_kpa=100")
+    with pytest.raises(UsageError, match="none goes alone"):
+        carriers(scene, ["order=1", "none"])
 
 
 def test_it_differs_in_its_numerics_and_its_cells_alone(place: Path, scene: Scene) -> None:
@@ -68,7 +80,7 @@ def lacli(place: Path, *arguments: object) -> Any:
 
 
 def test_the_price_is_told_without_a_run(place: Path, scene: Scene) -> None:
-    plain = json.loads(lacli(place, "--dry-run", "--json").stdout)["simulations"]
+    plain = json.loads(lacli(place, "--dry-run", "--json", "--cheap", "none").stdout)["simulations"]
     both = json.loads(lacli(place, "--dry-run", "--json", "--cheap", "order=1", "--reference-runs", 8).stdout)["simulations"]
     assert [s["runs"] for s in plain] == [60]
     assert [s["runs"] for s in both] == [8, 60]
@@ -76,7 +88,7 @@ def test_the_price_is_told_without_a_run(place: Path, scene: Scene) -> None:
     assert [s["each"]["unknowns"] for s in both] == [unknowns(hollow_cube(), order) for order in (2, 1)]
     assert both[0]["cpu_s"] == pytest.approx(8 * both[0]["each"]["cpu_s"])
     assert not (place / "out").exists()
-    shown = lacli(place, "--dry-run", "--cheap", "order=1").stdout
+    shown = lacli(place, "--dry-run").stdout  # the scene's cells are quadratic
     assert "cheap: order=1" in shown
     assert "CPU minutes" in shown
 
@@ -84,7 +96,8 @@ def test_the_price_is_told_without_a_run(place: Path, scene: Scene) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--reference-runs", 8], "--reference-runs goes with --cheap"),
+        (["--reference-runs", 8, "--cheap", "none"], "--reference-runs: how many runs correct cheap ones, and none"),
+        (["--reference-runs", 8, "--set", "numerics.order=1"], "and none are made here"),
         (["--method", "published", "--cheap", "order=1"], "--cheap: of the sequential method"),
         (["--method", "published", "--dry-run"], "--dry-run: of the sequential method"),
         (["--cheap", "esp=1"], "numerics.esp"),

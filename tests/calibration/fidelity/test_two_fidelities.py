@@ -221,7 +221,7 @@ def test_more_runs_of_the_reference_are_a_budget(tmp_path: Path) -> None:
 
 
 def test_a_reference_that_fails_is_said(tmp_path: Path) -> None:
-    with pytest.raises(LacliError, match=r"give no correction \(failed\).*leave --cheap out"):
+    with pytest.raises(LacliError, match=r"give no correction \(failed\).*--cheap none"):
         run(Cheap(), Membranes(fail=lambda x: True), tmp_path)
 
 

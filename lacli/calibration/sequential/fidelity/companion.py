@@ -10,6 +10,11 @@ from lacli.contracts.scene import Scene, build_scene
 _ALLOWED = "keys of numerics (order=1) and anatomy.bundle, a bundle of the same atrium with coarser cells"
 
 
+def usual(scene: Scene) -> tuple[str, ...]:
+    """What carries a calibration where nothing is said: of a scene of quadratic cells linear ones, of others nothing."""
+    return ("order=1",) if scene.numerics.order == 2 else ()
+
+
 def companion(scene: Scene, overrides: Sequence[str]) -> Scene:
     """The scene with some ``key=value``: keys of numerics, bare or whole, or ``anatomy.bundle``.
 
