@@ -62,10 +62,19 @@ def check_folder(folder: Path, option: str = "--out") -> None:
         ) from None
 
 
-def check_file(path: Path) -> None:
-    """Before the work: whether a file can be put there, its folder made if absent. Raises StorageError; leaves nothing."""
+def check_file(path: Path, *inputs: Path | None, begins: bytes = b"") -> None:
+    """Before the work: whether a file can be put there, its folder made if absent. Raises StorageError; leaves nothing.
+
+    inputs: files that are read, one of which it must not be; begins: with what a file begins that may be written over.
+    """
     if path.is_dir():
         raise StorageError(_IN_THE_WAY.format(path))
+    if path.exists():
+        if any(other is not None and other.exists() and path.samefile(other) for other in inputs):
+            raise StorageError(f"{path}: is an input, and would be written over; choose another --out.")
+        with path.open("rb") as stream:
+            if stream.read(len(begins)) != begins:
+                raise StorageError(f"{path}: is there and is another kind of file; choose another --out, or remove it.")
     check_folder(path.parent)
 
 

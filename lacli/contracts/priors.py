@@ -24,6 +24,8 @@ from lacli.base.errors import TableError, UsageError
 Distribution = Literal["normal", "lognormal", "uniform"]
 _KEYS = {"normal": ("mean", "sd"), "lognormal": ("mean", "sd"), "uniform": ("lower", "upper")}
 # a box that holds less of a prior than this contradicts it
+_LEAST_SD = 1e-6  # of the mean
+_MOST_SD = 1e3  # of a lognormal prior's mean
 _LEAST_SHARE = 1e-3
 
 
@@ -83,6 +85,16 @@ class Prior:
         ends = np.log(np.maximum([low, high], 1e-300))
         return float(np.diff(norm.cdf(ends, *self._of_the_logarithm()))[0])
 
+    def extent(self) -> tuple[float, float]:
+        """The ends between which all but 1e-15 of it lies."""
+        low, high = -math.inf, math.inf
+        if self.distribution == "normal":
+            low, high = self.mean - 8.0 * self.sd, self.mean + 8.0 * self.sd
+        if self.distribution == "lognormal":
+            centre, spread = self._of_the_logarithm()
+            low, high = math.exp(centre - 8.0 * spread), math.exp(min(centre + 8.0 * spread, 700.0))
+        return max(low, self.lower), min(high, self.upper)
+
     def _of_the_logarithm(self) -> tuple[float, float]:
         spread = math.sqrt(math.log1p((self.sd / self.mean) ** 2))
         return math.log(self.mean) - 0.5 * spread**2, spread
@@ -116,7 +128,7 @@ def read_priors(path: Path, tables: object) -> tuple[Prior, ...] | None:
 def _prior(path: Path, name: str, entry: Mapping[str, Any]) -> Prior:
     where = f"{path}: [priors.{name}]"
     kind = entry.get("distribution", "uniform" if "mean" not in entry and "sd" not in entry else "normal")
-    if kind not in _KEYS:
+    if kind not in tuple(_KEYS):  # a list among them has no hash
         raise TableError(f"{where} distribution is {brief(kind)}; there are {', '.join(_KEYS)}.")
     allowed = {"distribution", "lower", "upper", "unit", "source", *_KEYS[kind]}
     if unknown := sorted(set(entry) - allowed):
@@ -133,6 +145,10 @@ def _prior(path: Path, name: str, entry: Mapping[str, Any]) -> Prior:
     lower, upper = values.get("lower", -math.inf), values.get("upper", math.inf)
     if sd <= 0 or (kind == "lognormal" and mean <= 0):
         raise TableError(f"{where} {'sd' if sd <= 0 else 'mean of a lognormal one'} must be positive.")
+    if sd < _LEAST_SD * abs(mean):
+        raise TableError(f"{where} sd {sd:g} of a mean of {mean:g}: nothing is known so exactly. Check sd and unit.")
+    if kind == "lognormal" and sd > _MOST_SD * mean:
+        raise TableError(f"{where} sd {sd:g} of a mean of {mean:g}: more than {_MOST_SD:g} times as much. Check sd and unit.")
     if lower >= upper:
         raise TableError(f"{where} lower is {lower:g}, upper {upper:g}: the lower end must be below the upper one.")
     found = Prior(name, kind, mean, sd, lower, upper)
@@ -167,8 +183,10 @@ def prior_sd(priors: Sequence[Prior] | None, names: Sequence[str], lower: FloatA
     result = (np.asarray(upper, float) - lower) / math.sqrt(12.0)
     for prior in priors or ():
         i = list(names).index(prior.name)
-        # the middle of many thin slices: no closed form for a log-normal that is cut off
-        x = lower[i] + (np.arange(20_000) + 0.5) / 20_000 * (upper[i] - lower[i])
+        # the middle of many thin slices of where it is: no closed form for a log-normal that is cut off
+        low, high = prior.extent()
+        low, high = max(low, float(lower[i])), min(high, float(upper[i]))
+        x = low + (np.arange(20_000) + 0.5) / 20_000 * (high - low)
         log = prior.log_density(x)
         weight = np.exp(log - log.max())
         weight /= weight.sum()

@@ -93,6 +93,9 @@ class Targets:
         )
 
 
+_AT_THE_TOP = ("covariance", "es_time", "nearest_frame_to_es")
+
+
 def read_targets(path: Path) -> Targets:
     """Read ``targets.toml``: a table for each feature with ``mean`` and ``sd``, at the top or under ``[targets]``.
 
@@ -119,6 +122,9 @@ def read_targets(path: Path) -> Targets:
     found = {name: _target(path, name, entry) for name, entry in tables.items() if isinstance(entry, dict)}
     if not found:
         raise TableError(f"{path}: no target in it. Write a table for each feature with mean and sd.")
+    unread = sorted(key for key, value in document.items() if not isinstance(value, dict) and key not in _AT_THE_TOP)
+    if unread:
+        raise TableError(f"{path}: {', '.join(unread)} at the top is not read; there may stand {', '.join(_AT_THE_TOP)}.")
     alike: dict[str, str] = {}
     for name in found:
         if (other := alike.setdefault(name.strip().lower(), name)) != name:

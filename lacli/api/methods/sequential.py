@@ -88,10 +88,14 @@ def prices(scene: Scene, targets: Targets, folder: Path, settings: Settings | No
     from lacli.calibration.sequential.fidelity.companion import companion
     from lacli.calibration.sequential.search import Settings
     from lacli.calibration.simulator import asked
+    from lacli.contracts.priors import check_priors
+    from lacli.inference.box import published_box
     from lacli.mechanics.numerics.earlier import earlier
 
     if words := lacking(scene):
         raise UsageError(f"calibrate: {words} Change the scene, or use --method published.")
+    box = work.box or published_box()
+    check_priors(targets.priors, box.names, box.lower, box.upper)
     settings, done = settings or Settings(), earlier(work.store or folder / RUNS)
     own = price(
         "the scene's own", asked(scene, targets.names), settings.reference_runs if work.cheap else settings.max_runs, done

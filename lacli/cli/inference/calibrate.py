@@ -153,7 +153,7 @@ def command(
         if reference_runs and not options["cheap"]:
             raise UsageError("--reference-runs: how many runs correct cheap ones, and none are made here (--cheap order=1).")
         if dry_run:
-            show_prices(patient, wanted, folder, as_json, **{key: options[key] for key in ("settings", "store", "cheap")})
+            show_prices(patient, wanted, folder, as_json, **{key: options[key] for key in ("box", "settings", "store", "cheap")})
         elif forecast:
             show_forecast(patient, wanted, folder, as_json, **options)
         else:

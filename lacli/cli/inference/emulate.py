@@ -36,7 +36,8 @@ def command(
     from lacli.inference.emulation.emulator_set import save_emulators
     from lacli.inference.given import box_of_inputs
 
-    check_file(file)
+    check_file(file, inputs, outputs, box_file, begins=b"PK")  # an .npz file is a ZIP archive
+    earlier = file.exists()
     table = read(inputs, outputs, names)
     with stages() as show:
         box = box_of_inputs(table.inputs, box_file) if box_file else None
@@ -45,7 +46,8 @@ def command(
         )
     scores = made.scores
     save_emulators(file, made.emulators, made.identity)
-    superseded(file.parent, file.with_suffix(".png").name)
+    if earlier:
+        superseded(file.parent, file.with_suffix(".png").name)
     pictures = []
     if figures:
         from lacli.report.inference_figures import validation_figure

@@ -15,6 +15,8 @@ from lacli.base.documents import brief
 from lacli.base.errors import TableError, UsageError
 from lacli.base.notes import note
 from lacli.contracts.tables.absent import check_column
+from lacli.contracts.tables.checks import check_sizes
+from lacli.contracts.tables.columns import numbers, to_numbers
 from lacli.contracts.tables.file import read_frame
 
 MOST_DRAWS = 5_000_000
@@ -78,7 +80,9 @@ def read_observations(
 
 def column(frame: pd.DataFrame, name: str, path: Path) -> FloatArray:
     """The column's finite numbers. Raises TableError, which names the row."""
-    values: FloatArray = pd.to_numeric(frame[name], errors="coerce").to_numpy(float)
+    if pd.api.types.is_bool_dtype(frame[name].dtype) or pd.api.types.is_datetime64_any_dtype(frame[name].dtype):
+        numbers(frame[[name]], f"{path}")  # which says what they are
+    values: FloatArray = to_numbers(frame[name]).to_numpy(float)
     bad = ~np.isfinite(values)
     if bad.any():
         row = int(bad.argmax())
@@ -86,6 +90,7 @@ def column(frame: pd.DataFrame, name: str, path: Path) -> FloatArray:
         cell = cell.item() if hasattr(cell, "item") else cell
         what = "is empty" if pd.isna(cell) else f"holds {brief(cell)}, which is not a finite number"
         raise TableError(f"{path}: {name}, row {row + 1} {what}. Fill it in, or leave the patient out.")
+    check_sizes([name], values[:, None], f"{path}:")
     check_column(name, values, f"{path}:", "Fill it in, or leave the patient out.", note)
     return values
 

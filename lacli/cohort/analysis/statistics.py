@@ -67,6 +67,11 @@ def statistics(
         raise InputError(
             f"{observed.where}: 2 patients; a mixed model needs at least 3. Without --predictor the paired tests are made."
         )
+    if predictors and len(observed.regions) < 2:
+        raise InputError(
+            f"{observed.where}: one region; a mixed model needs two at least: with one row a patient nothing tells patients "
+            "from errors. Without --predictor the means are told."
+        )
     for name in predictors:
         _check_variation(observed, name)
     if predictors:

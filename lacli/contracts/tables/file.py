@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,9 +26,10 @@ _LONGEST_FOOTER = 16 << 20
 _EXACT: dict[str, Any] = {} if tuple(map(int, pd.__version__.split(".")[:2])) >= (3, 1) else {"float_precision": "round_trip"}
 
 
-def read_frame(path: Path) -> pd.DataFrame:
+def read_frame(path: Path, text: Sequence[str] = ()) -> pd.DataFrame:
     """Read a CSV or Parquet table.
 
+    text: columns whose cells are words, whatever they look like (``007``, ``1e3``).
     Raises TableError if the file is missing, too large, empty or not a table with unique column names.
     """
     path = Path(path)
@@ -42,8 +44,9 @@ def read_frame(path: Path) -> pd.DataFrame:
             with warnings.catch_warnings():  # cells beyond the header's would be dropped, or else taken as names of the rows
                 warnings.simplefilter("error", pd.errors.ParserWarning)
                 frame = pd.read_csv(
-                    path, skipinitialspace=True, index_col=False, low_memory=False, encoding="utf-8-sig", **_EXACT
-                )
+                    path, skipinitialspace=True, index_col=False, low_memory=False, encoding="utf-8-sig",
+                    dtype={name: str for name in _header_cells(path) if name.strip() in text}, **_EXACT,
+                )  # fmt: skip
     except TableError:
         raise
     except pd.errors.ParserWarning as error:
@@ -104,14 +107,19 @@ def _check_size(path: Path, rows: int, columns: int) -> None:
 
 
 def _header_names(path: Path) -> list[str]:
+    return [name.strip() for name in _header_cells(path)]
+
+
+def _header_cells(path: Path) -> list[str]:
     """The cells of the first line that is not empty."""
     with path.open("rb") as stream:
         start = stream.read(_LONGEST_HEADER + 1)
-    text = start.decode("utf-8-sig", errors="replace").lstrip("\r\n")
+    # as pandas does: a line of blanks is an empty one
+    text = re.sub(r"\A(?:[ \t]*[\r\n]+)+", "", start.decode("utf-8-sig", errors="replace"))
     row = next(csv.reader(io.StringIO(text, newline=""), skipinitialspace=True), [])
     if len(start) > _LONGEST_HEADER and len(text) == len("".join(row)) + len(row) - 1:
         raise TableError(f"{path}: the first line is longer than {_LONGEST_HEADER:,} bytes; it should name the columns.")
-    return [name.strip() for name in row]
+    return row
 
 
 def _check_parquet(path: Path) -> None:

@@ -214,7 +214,7 @@ def _named(frame: pd.DataFrame, names: Sequence[str], what: str) -> list[str]:
     missing = [name for name in names if name not in frame.columns]
     if missing:
         raise TableError(f"{what} {listed(missing)} is not a column; the columns are {listed(list(frame.columns))}.")
-    return list(names)
+    return list(dict.fromkeys(names))
 
 
 def _say_labels(frame: pd.DataFrame, what: str, notes: list[str]) -> None:
@@ -240,7 +240,10 @@ def _errors(frame: pd.DataFrame, names: Sequence[str], where: str, notes: list[s
         known = np.isfinite(values)
         checks.check_sizes([name], values[:, None], f"{where}: error")
         check_column(name, values, f"{where}: error", "Correct it, or leave the cell empty.", notes.append)
-        found[:, names.index(output)] = np.where(known, np.abs(values), 0.0)
+        if (values[known] < 0).any():
+            row = int(np.flatnonzero(known & (values < 0))[0])
+            raise TableError(f"{where}: {name}, row {row + 1} holds a negative standard deviation of {output}. Correct it.")
+        found[:, names.index(output)] = np.where(known, values, 0.0)
         missing = "" if known.all() else f"; {int((~known).sum())} run(s) tell none, which counts as 0"
         if not name.endswith(ERROR_SUFFIX) or missing:
             notes.append(f"{name} is read as the error of {output}, one standard deviation{missing}.")

@@ -93,6 +93,11 @@ def test_the_price_is_told_without_a_run(place: Path, scene: Scene) -> None:
     assert "CPU minutes" in shown
 
 
+def test_a_prior_that_the_runs_would_refuse_is_refused_without_one(place: Path) -> None:
+    (place / "targets.toml").write_text("[targets.esv_ml]\nmean = 90.0\nsd = 4.0\n[priors.edp_mmhgg]\nmean = 7.0\nsd = 1.0\n")
+    assert "prior of edp_mmhgg: no input of the box" in str(lacli(place, "--dry-run").exception)
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
