@@ -50,7 +50,7 @@ def read_participants(path: Path) -> list[Participant]:
     ``targets``; optional ``ct``, ``scene``, ``priors``, ``age`` and columns of one's own; ``n/a`` where not known. Raises
     TableError, one message with all that is wrong.
     """
-    frame = read_frame(path, (ID, *PATHS))
+    frame = read_frame(path, PATHS)
     if ID not in frame:
         raise TableError(f"{path}: no column {ID}; the columns are {', '.join(map(str, frame.columns[:40]))}.")
     wrong: list[str] = []

@@ -124,3 +124,33 @@ def test_no_input_and_no_file_of_another_kind_is_written_over(tmp_path: Path) ->
         check_file(tmp_path / "." / "runs.csv", table)
     with pytest.raises(StorageError, match="another kind of file"):
         check_file(table, begins=b"PK")
+
+
+@pytest.mark.parametrize(("shift", "factor"), [(0.0, 1.0), (100.0, 1.0), (0.0, 0.1)])
+def test_draws_of_another_posterior_are_refused(tmp_path: Path, shift: float, factor: float) -> None:
+    table = study(tmp_path / "s.csv", ["1.0", "2.5", "2.0"])
+    frame = read_frame(table)
+    rng = np.random.default_rng(1)
+    rows = [
+        f"{p},{r},{k},{factor * (t + 0.01 * rng.standard_normal()) + shift}\n"
+        for k in range(60)
+        for p, r, t in zip(frame["participant_id"], frame["region"], frame["thickness_mm"], strict=True)
+    ]
+    (tmp_path / "draws.csv").write_text("participant_id,region,draw,thickness_mm\n" + "".join(rows))
+    if (shift, factor) == (0.0, 1.0):
+        assert "thickness_mm" in read_observations(table, ["d_mm", "thickness_mm"], draws=tmp_path / "draws.csv").draws
+        return
+    with pytest.raises(TableError, match=r"draws of thickness_mm of p\d, \w+ are .*: they are of another posterior"):
+        read_observations(table, ["d_mm", "thickness_mm"], draws=tmp_path / "draws.csv")
+
+
+def test_identifiers_of_a_study_s_table_are_words(tmp_path: Path) -> None:
+    (tmp_path / "s.csv").write_text("participant_id,region,d_mm\n" + "".join(f"00{i},{r},{i}\n" for i in (1, 2) for r in (1, 2)))
+    observed = read_observations(tmp_path / "s.csv", ["d_mm"])
+    assert observed.patients == ("001", "002") and observed.regions == ("1", "2")
+
+
+def test_a_participant_is_the_same_in_every_table(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("participant_id ,age\n007,63\n1e3,\n")
+    frame = read_frame(tmp_path / "t.csv")
+    assert frame["participant_id"].tolist() == ["007", "1e3"] and frame["age"].iloc[0] == 63

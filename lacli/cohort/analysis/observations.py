@@ -19,6 +19,7 @@ from lacli.contracts.tables.checks import check_sizes
 from lacli.contracts.tables.columns import numbers, to_numbers
 from lacli.contracts.tables.file import read_frame
 
+_FAR = 4.0  # of a posterior's sds: so far from its mean no most probable value lies
 MOST_DRAWS = 5_000_000
 # an identifier becomes a folder's name: no separators, no leading dot or dash
 IDENTIFIER = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]{0,63}")
@@ -47,7 +48,7 @@ def read_observations(
     a patient's regions takes the place of ``<name>_sd``. Raises TableError where a cell is empty or no number, an identifier is
     none or stands twice, or patients have different regions; UsageError where a column is missing.
     """
-    frame = read_frame(path)
+    frame = read_frame(path, (patient, region))
     _check_columns(frame, [patient, region, *names], path)
     ids, regions = _labels(frame, patient, region, path)
     twice = pd.Series(zip(ids, regions, strict=True)).duplicated().to_numpy()
@@ -74,6 +75,8 @@ def read_observations(
     found: dict[str, FloatArray] = {}
     if draws is not None:
         found = _read_draws(draws, names, patient, region, patients, levels)
+        for name, of in found.items():
+            _check_draws(draws, name, of, values[name], patients, levels)
         errors |= {name: _covariances(d) for name, d in found.items()}
     return Observations(patients, levels, values, errors, found, str(path))
 
@@ -130,7 +133,7 @@ def _filled(column: FloatArray, place: tuple[list[int], list[int]], shape: tuple
 def _read_draws(
     path: Path, names: Sequence[str], patient: str, region: str, patients: tuple[str, ...], regions: tuple[str, ...]
 ) -> dict[str, FloatArray]:
-    frame = read_frame(path)
+    frame = read_frame(path, (patient, region))
     there = [name for name in names if name in frame]
     if not there:
         raise UsageError(f"{path}: no draws of {', '.join(names)}; the columns are {', '.join(map(str, frame.columns[:40]))}.")
@@ -156,6 +159,20 @@ def _read_draws(
         grid[index] = column(frame, name, path)
         result[name] = grid
     return result
+
+
+def _check_draws(
+    path: Path, name: str, draws: FloatArray, values: FloatArray, patients: tuple[str, ...], regions: tuple[str, ...]
+) -> None:
+    """Raises TableError where the table's value is none that its draws (draws, patients, regions) could have."""
+    mean, sd = draws.mean(axis=0), draws.std(axis=0)
+    off = np.abs(values - mean) - _FAR * sd - 1e-9 * np.abs(mean)
+    i, j = np.unravel_index(int(off.argmax()), off.shape)
+    if off[i, j] > 0:
+        raise TableError(
+            f"{path}: draws of {name} of {patients[i]}, {regions[j]} are {mean[i, j]:.4g} +- {sd[i, j]:.2g}, the table has "
+            f"{values[i, j]:.4g}: they are of another posterior, or in another unit."
+        )
 
 
 def _covariances(draws: FloatArray) -> FloatArray:

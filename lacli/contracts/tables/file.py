@@ -20,6 +20,7 @@ MOST_COLUMNS = 10_000  # 300 outputs and their derivatives by 30 inputs
 MOST_BYTES = 512 << 20
 _MOST_CELLS = 20_000_000
 _LONGEST_HEADER = 1 << 20
+_IDENTIFIER = "participant_id"
 _PARQUET = (".parquet", ".pq")
 _LONGEST_FOOTER = 16 << 20
 # before 3.1, pandas does not read every float's digits back to the same float on its own; since then the wish is deprecated
@@ -29,7 +30,7 @@ _EXACT: dict[str, Any] = {} if tuple(map(int, pd.__version__.split(".")[:2])) >=
 def read_frame(path: Path, text: Sequence[str] = ()) -> pd.DataFrame:
     """Read a CSV or Parquet table.
 
-    text: columns whose cells are words, whatever they look like (``007``, ``1e3``).
+    text: columns whose cells are words, whatever they look like (``007``, ``1e3``), beside ``participant_id``.
     Raises TableError if the file is missing, too large, empty or not a table with unique column names.
     """
     path = Path(path)
@@ -45,7 +46,7 @@ def read_frame(path: Path, text: Sequence[str] = ()) -> pd.DataFrame:
                 warnings.simplefilter("error", pd.errors.ParserWarning)
                 frame = pd.read_csv(
                     path, skipinitialspace=True, index_col=False, low_memory=False, encoding="utf-8-sig",
-                    dtype={name: str for name in _header_cells(path) if name.strip() in text}, **_EXACT,
+                    dtype={name: str for name in _header_cells(path) if name.strip() in (_IDENTIFIER, *text)}, **_EXACT,
                 )  # fmt: skip
     except TableError:
         raise
