@@ -62,7 +62,7 @@ def log_of(run: SceneSimulator, box: Box, names: tuple[str, ...], file: Path) ->
 def calibrations(
     runs: dict[str, SceneSimulator], box: Box, names: tuple[str, ...], number: int, folder: Path, kinds: list[str]
 ) -> dict[str, Any] | None:
-    """Truth ``number`` calibrated by some of ``quadratic``, ``linear`` and ``both``: what is printed, once all are there."""
+    """Truth ``number`` calibrated by some of ``quadratic``, ``linear`` and ``both``: each beside the quadratic one."""
     rng = np.random.default_rng(number)
     truth = draw_truth(box, rng)
     asked = (*names, "edv_ml")
@@ -80,7 +80,8 @@ def calibrations(
         log = log_of(own, box, names, place / (CHEAP if kind == "both" else LOG))
         dear = Reference(runs["quadratic"], log_of(runs["quadratic"], box, names, place / LOG)) if kind == "both" else None
         found[kind] = calibrate_sequentially(own, box, targets, settings, place, log, show, reference=dear)
-    if len(found) < len(KINDS):
+    others = [kind for kind in KINDS if kind in found and kind != "quadratic"]
+    if "quadratic" not in found or not others:
         return None
     exact = found["quadratic"].chain.flat()
     alphas = [i for i, name in enumerate(box.names) if name.startswith("alpha_")]
@@ -94,11 +95,16 @@ def calibrations(
             "sd_most": float(ratio.max()), "cpu_s": of.cpu_s, "cost": of.cpu_s / found["quadratic"].cpu_s, "runs": of.runs,
         }  # fmt: skip
 
-    of_both = found["both"].fidelity
-    return {
+    row = {
         "truth": number, "quadratic_cpu_s": found["quadratic"].cpu_s, "quadratic_runs": found["quadratic"].runs,
-        "linear": off(found["linear"]), "both": off(found["both"]), "reference_runs": of_both.runs if of_both else 0,
-        "rho": of_both.rho if of_both else None, "stages": found["both"].stages, "stopped": found["both"].stopped,
+        **{kind: off(found[kind]) for kind in others},
+    }  # fmt: skip
+    if (both := found.get("both")) is None:
+        return row
+    of_both = both.fidelity
+    return {
+        **row, "reference_runs": of_both.runs if of_both else 0, "rho": of_both.rho if of_both else None,
+        "stages": both.stages, "stopped": both.stopped,
     }  # fmt: skip
 
 
@@ -158,7 +164,7 @@ def print_calibrations(rows: list[dict[str, Any]]) -> None:
     """Asked beside measured."""
     table: list[list[Any]] = []
     for row in rows:
-        for kind in ("linear", "both"):
+        for kind in (kind for kind in ("linear", "both") if kind in row):
             m, asked = row[kind], kind == "both"
             table += [
                 [row["truth"], kind, "largest shift of an alpha, sd", f"<= {ASKED_SHIFT:g}" if asked else "", m["alpha"]],
@@ -166,6 +172,8 @@ def print_calibrations(rows: list[dict[str, Any]]) -> None:
                 [row["truth"], kind, "sd, of the quadratic one's", "", f"{m['sd_least']:.2f} - {m['sd_most']:.2f}"],
                 [row["truth"], kind, "CPU s, of the quadratic one's", f"<= {ASKED_COST:g}" if asked else "", m["cost"]],
             ]
+        if "both" not in row:
+            continue
         said = f"{row['both']['runs']}, {row['reference_runs']} of them quadratic; quadratic alone: {row['quadratic_runs']}"
         table.append([row["truth"], "both", "runs", f"about {ASKED_RUNS} quadratic", said])
     print_table("Two fidelities against quadratic cells alone", ["truth", "runs", "what", "asked", "measured"], table)

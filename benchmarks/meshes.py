@@ -20,13 +20,12 @@ from unittest import mock
 
 import numpy as np
 from numpy.typing import NDArray
-from real_atrium import DATA, FEATURES, displacement
+from real_atrium import DATA, FEATURES, FILES, displacement
 from scipy.spatial import cKDTree
 
 from lacli.anatomy.coordinates.describe import describe
 from lacli.anatomy.inputs.meshes.tagged import read_mesh
-from lacli.anatomy.remeshing import remesh
-from lacli.anatomy.remeshing.projection import vertex_normals
+from lacli.anatomy.remeshing import bends, remesh
 from lacli.anatomy.wall.shell import mesh_shell
 from lacli.contracts import bundle as bundles
 from lacli.contracts.bundle import Bundle
@@ -54,18 +53,8 @@ def by_bending(most: float) -> Wanted:
     """The size where the wall turns by TURN along an edge, up to ``most`` times it where it turns less."""
 
     def wanted(surface: Surface, size: float) -> Floats:
-        normals = vertex_normals(surface, 0, SMOOTHING_MM)
-        edges, _ = unique_edges(surface.triangles)
-        edges = edges[np.isfinite(normals[edges, 0]).all(axis=1)]
-        a, b = edges.T
-        length = np.linalg.norm(surface.points[a] - surface.points[b], axis=1)
-        bend = np.linalg.norm(normals[a] - normals[b], axis=1) / np.maximum(length, 0.25 * length.mean())
-        n = len(surface.points)
-        square = np.bincount(edges.ravel(), weights=np.repeat(bend**2, 2), minlength=n)
-        count = np.maximum(np.bincount(edges.ravel(), minlength=n), 1)
-        local = np.clip(TURN / np.maximum(np.sqrt(square / count), 1e-9), size, most * size)
-        local[~np.isfinite(normals[:, 0])] = size
-        return np.asarray(local)
+        bend, _, _ = bends.bending(surface, SMOOTHING_MM)
+        return np.where(bend > 0, np.clip(TURN / np.maximum(bend, 1e-9), size, most * size), size)
 
     return wanted
 
@@ -81,16 +70,10 @@ def graded(wanted: Wanted) -> Iterator[None]:
     plain = remesh._size_field
 
     def field(surface: Surface, size: float) -> Callable[[Floats], Floats]:
-        local, tight = wanted(surface, size), plain(surface, size)
+        tight = plain(surface, size)
         edges, _ = unique_edges(surface.triangles)
-        a, b = edges.T
-        length = np.linalg.norm(surface.points[a] - surface.points[b], axis=1)
-        for _ in range(60):
-            before = local.copy()
-            np.minimum.at(local, a, before[b] + GROWTH * length)
-            np.minimum.at(local, b, before[a] + GROWTH * length)
-            if np.allclose(local, before, rtol=1e-3):
-                break
+        length = np.linalg.norm(np.diff(surface.points[edges], axis=1)[:, 0], axis=1)
+        local = bends.grown(wanted(surface, size), edges, length, GROWTH)
         tree = cKDTree(surface.points)
 
         def asked(points: Floats) -> Floats:
@@ -183,8 +166,7 @@ def main() -> None:
     choice = parser.parse_args()
     if not choice.data.is_dir():
         raise SystemExit(f"{choice.data}: no such folder; examples/rodero/README.md says where to get the data.")
-    files = ("LA_tets_1.5mm.vtu", "LA_surfaces_1.5mm.vtp", "rodero_01_fullheart_1.5mm.namemap.json")
-    cavity = read_mesh(*(choice.data / name for name in files), "Left atrium").cavity
+    cavity = read_mesh(*(choice.data / name for name in FILES), "Left atrium").cavity
     head = f"{'mesh':34s} {'unknowns':>9s} {'systems':>8s} {'CPU s':>7s}  off: volume %, mm: "
     print(head + " ".join(FEATURES[1:]), flush=True)
     exact: dict[bool, tuple[list[float], tuple[Floats, Floats]]] = {}

@@ -28,14 +28,14 @@ from lacli.mechanics.simulation import run_scene
 from lacli.motion.annulus import descend
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "la_rodero01"
+FILES = ("LA_tets_1.5mm.vtu", "LA_surfaces_1.5mm.vtp", "rodero_01_fullheart_1.5mm.namemap.json")
 FEATURES = ("esv_ml", "d_global_mm", *(f"d_{name}_mm" for name in REGIONS))
 
 
 def made(data: Path, size: float, folder: Path) -> Path:
     """The bundle of that cell size (mm), made once."""
     if not folder.is_dir():
-        names = data / "rodero_01_fullheart_1.5mm.namemap.json"
-        bundle = read_tagged(data / "LA_tets_1.5mm.vtu", data / "LA_surfaces_1.5mm.vtp", names, size, order=2, thickness_mm=2.0)
+        bundle = read_tagged(*(data / name for name in FILES), size, order=2, thickness_mm=2.0)
         bundles.save(bundle, folder)
         save_motion(descend(bundle, descent_mm=8.0, circumference_change=0.0), folder)
     return folder

@@ -69,12 +69,13 @@ def check_file(path: Path, *inputs: Path | None, begins: bytes = b"") -> None:
     """
     if path.is_dir():
         raise StorageError(_IN_THE_WAY.format(path))
-    if path.exists():
-        if any(other is not None and other.exists() and path.samefile(other) for other in inputs):
-            raise StorageError(f"{path}: is an input, and would be written over; choose another --out.")
-        with path.open("rb") as stream:
-            if stream.read(len(begins)) != begins:
-                raise StorageError(f"{path}: is there and is another kind of file; choose another --out, or remove it.")
+    if path.exists() and any(other is not None and other.exists() and path.samefile(other) for other in inputs):
+        raise StorageError(f"{path}: is an input, and would be written over; choose another --out.")
+    if begins and path.is_file():
+        with storing(path), path.open("rb") as stream:
+            start = stream.read(len(begins))
+        if start != begins:
+            raise StorageError(f"{path}: is there and is another kind of file; choose another --out, or remove it.")
     check_folder(path.parent)
 
 

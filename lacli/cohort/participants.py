@@ -19,10 +19,10 @@ from lacli.cohort.files import OWN
 from lacli.contracts.labels import BODY_REGIONS
 from lacli.contracts.tables.absent import check_column
 from lacli.contracts.tables.columns import to_numbers
-from lacli.contracts.tables.file import read_frame
+from lacli.contracts.tables.file import PARTICIPANT, read_frame
 from lacli.contracts.targets import Targets, read_targets
 
-ID = "participant_id"
+ID = PARTICIPANT
 PATHS = ("labels", "bundle", "ct", "images", "targets", "table", "scene", "uniform", "priors")
 _FILES, _FOLDERS = ("labels", "targets", "table", "scene", "priors"), ("bundle", "uniform")  # of the others a path may be either
 # columns of numbers that are known: unit, and what a patient can have

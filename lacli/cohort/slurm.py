@@ -62,23 +62,23 @@ def workers(settings: Settings, logs: Path) -> Iterator[tuple[str, Callable[[int
     chosen = {**_DEFAULTS, **settings.slurm}
     interface = {"interface": chosen["interface"]} if "interface" in chosen else {}
     # a worker that has a task has enough: one that waits behind a long one would idle another worker
-    dask.config.set({"distributed.scheduler.worker-saturation": 1.0})
-    cluster = SLURMCluster(
-        cores=1,  # a patient at a time in a job
-        processes=1,
-        job_cpu=int(chosen["cpus"]),
-        memory=str(chosen["memory"]),
-        walltime=str(chosen["time"]),
-        account=chosen.get("account"),
-        queue=chosen.get("partition"),
-        job_name="lacli-cohort",
-        python=sys.executable,
-        log_directory=str(logs),
-        local_directory=str(logs),
-        job_script_prologue=_module_lines(chosen),
-        scheduler_options={"dashboard": False, "dashboard_address": ":0", **interface},
-        **interface,
-    )
+    with dask.config.set({"distributed.scheduler.worker-saturation": 1.0}):
+        cluster = SLURMCluster(
+            cores=1,  # a patient at a time in a job
+            processes=1,
+            job_cpu=int(chosen["cpus"]),
+            memory=str(chosen["memory"]),
+            walltime=str(chosen["time"]),
+            account=chosen.get("account"),
+            queue=chosen.get("partition"),
+            job_name="lacli-cohort",
+            python=sys.executable,
+            log_directory=str(logs),
+            local_directory=str(logs),
+            job_script_prologue=_module_lines(chosen),
+            scheduler_options={"dashboard": False, "dashboard_address": ":0", **interface},
+            **interface,
+        )
     with cluster:
 
         def keep(count: int) -> None:

@@ -24,9 +24,9 @@ from lacli.base.errors import TableError, UsageError
 Distribution = Literal["normal", "lognormal", "uniform"]
 _KEYS = {"normal": ("mean", "sd"), "lognormal": ("mean", "sd"), "uniform": ("lower", "upper")}
 # a box that holds less of a prior than this contradicts it
+_LEAST_SHARE = 1e-3
 _LEAST_SD = 1e-6  # of the mean
 _MOST_SD = 1e3  # of a lognormal prior's mean
-_LEAST_SHARE = 1e-3
 
 
 @dataclass(frozen=True)

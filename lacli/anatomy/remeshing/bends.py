@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from lacli.anatomy.remeshing.projection import vertex_normals
 from lacli.anatomy.remeshing.workmesh import Asked
-from lacli.base.arrays import FloatArray
+from lacli.base.arrays import FloatArray, IntArray
 from lacli.geometry.surface import Surface, unique_edges
 
 TURN = 1.3  # rad, the most that the wall may turn along one edge
@@ -19,19 +19,11 @@ SHARE = 0.5  # of the turning neighbours of a point, so that a single noisy one 
 
 def limits(surface: Surface, size: float) -> Asked | None:
     """Longest edges (k,) mm at points (k, 3) by how the wall bends there; None where none is below ``size``."""
-    normals = vertex_normals(surface, 0, SMOOTHING_MM)
-    edges, _ = unique_edges(surface.triangles)
-    edges = edges[np.isfinite(normals[edges, 0]).all(axis=1)]
-    a, b = edges.T
-    length = np.linalg.norm(surface.points[a] - surface.points[b], axis=1)
-    bend = np.linalg.norm(normals[a] - normals[b], axis=1) / np.maximum(length, 0.25 * float(length.mean()))
-    n = len(surface.points)
-    count = np.maximum(np.bincount(edges.ravel(), minlength=n), 1)
-    square = np.bincount(edges.ravel(), weights=np.repeat(bend**2, 2), minlength=n) / count
-    local = np.clip(TURN * np.sqrt(SHARE) / np.maximum(np.sqrt(square), 1e-9), LEAST * size, size)
+    bend, edges, length = bending(surface, SMOOTHING_MM)
+    local = np.clip(TURN * np.sqrt(SHARE) / np.maximum(bend, 1e-9), LEAST * size, size)
     if (local >= size).all():
         return None
-    local = _graded(local, a, b, length)
+    local = grown(local, edges, length, GROWTH)
     tree = cKDTree(surface.points)
 
     def asked(points: FloatArray) -> FloatArray:
@@ -41,13 +33,29 @@ def limits(surface: Surface, size: float) -> Asked | None:
     return asked
 
 
-def _graded(local: FloatArray, a: np.ndarray, b: np.ndarray, length: FloatArray) -> FloatArray:
-    """Sizes that grow by at most GROWTH per mm along the edges."""
+def bending(surface: Surface, smoothing_mm: float) -> tuple[FloatArray, IntArray, FloatArray]:
+    """How the wall turns at each point (n,), rad per mm, the root mean square over its edges, 0 off the wall; the wall's edges
+    (e, 2) and their lengths (e,) mm."""
+    normals = vertex_normals(surface, 0, smoothing_mm)
+    edges, _ = unique_edges(surface.triangles)
+    edges = edges[np.isfinite(normals[edges, 0]).all(axis=1)]
+    a, b = edges.T
+    length = np.linalg.norm(surface.points[a] - surface.points[b], axis=1)
+    bend = np.linalg.norm(normals[a] - normals[b], axis=1) / np.maximum(length, 0.25 * float(length.mean()))
+    n = len(surface.points)
+    count = np.maximum(np.bincount(edges.ravel(), minlength=n), 1)
+    square = np.bincount(edges.ravel(), weights=np.repeat(bend**2, 2), minlength=n) / count
+    return np.sqrt(square), edges, length
+
+
+def grown(local: FloatArray, edges: IntArray, length: FloatArray, growth: float) -> FloatArray:
+    """Sizes (n,) that grow by at most ``growth`` per mm along the edges (e, 2) of these lengths (e,)."""
+    a, b = edges.T
     local = local.copy()
     for _ in range(40):
         before = local.copy()
-        np.minimum.at(local, a, before[b] + GROWTH * length)
-        np.minimum.at(local, b, before[a] + GROWTH * length)
+        np.minimum.at(local, a, before[b] + growth * length)
+        np.minimum.at(local, b, before[a] + growth * length)
         if np.allclose(local, before, rtol=1e-3):
             break
     return local

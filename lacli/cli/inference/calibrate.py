@@ -98,7 +98,8 @@ def command(
         ),
     ] = None,
     reference_runs: Annotated[
-        int | None, typer.Option("--reference-runs", min=4, help="With --cheap: runs of the scene's own numerics at most (12).")
+        int | None,
+        typer.Option("--reference-runs", min=4, help="Where cheap runs carry the search: the scene's own at most (12)."),
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="sequential: what it costs at most, without a run.")] = False,
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,

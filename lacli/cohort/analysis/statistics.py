@@ -70,7 +70,7 @@ def statistics(
     if predictors and len(observed.regions) < 2:
         raise InputError(
             f"{observed.where}: one region; a mixed model needs two at least: with one row a patient nothing tells patients "
-            "from errors. Without --predictor the means are told."
+            "from errors. Give the patients' other regions too."
         )
     for name in predictors:
         _check_variation(observed, name)

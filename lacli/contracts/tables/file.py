@@ -14,13 +14,13 @@ import pandas as pd
 
 from lacli.base.errors import TableError
 
+PARTICIPANT = "participant_id"  # its cells are words in every table
 # a table of runs is small; what is larger is another kind of file
 MOST_ROWS = 200_000
 MOST_COLUMNS = 10_000  # 300 outputs and their derivatives by 30 inputs
 MOST_BYTES = 512 << 20
 _MOST_CELLS = 20_000_000
 _LONGEST_HEADER = 1 << 20
-_IDENTIFIER = "participant_id"
 _PARQUET = (".parquet", ".pq")
 _LONGEST_FOOTER = 16 << 20
 # before 3.1, pandas does not read every float's digits back to the same float on its own; since then the wish is deprecated
@@ -46,7 +46,7 @@ def read_frame(path: Path, text: Sequence[str] = ()) -> pd.DataFrame:
                 warnings.simplefilter("error", pd.errors.ParserWarning)
                 frame = pd.read_csv(
                     path, skipinitialspace=True, index_col=False, low_memory=False, encoding="utf-8-sig",
-                    dtype={name: str for name in _header_cells(path) if name.strip() in (_IDENTIFIER, *text)}, **_EXACT,
+                    dtype={name: str for name in _header_cells(path) if name.strip() in (PARTICIPANT, *text)}, **_EXACT,
                 )  # fmt: skip
     except TableError:
         raise

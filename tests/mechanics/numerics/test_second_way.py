@@ -25,7 +25,7 @@ from lacli.report.page.run import run_page
 from lacli.synthetic.atrium import synthesize
 
 # A soft point of the calibration's box at which a coarse atrium has two equilibria, far apart (3.1 mm, 272 uJ): where two are
-# about to become one, what is found hangs on how a processor rounds. Here it is the same with all kernels of OpenBLAS
+# about to become one, what is found hangs on how a processor rounds. Here it is the same with three kernels of OpenBLAS
 # (OPENBLAS_CORETYPE) and with inputs that are moved by a ten-thousandth.
 SOFT = {
     **{"alpha_anterior": 1.1341, "alpha_posterior": 0.2321, "alpha_septum": 1.2046, "alpha_lateral": 0.3224},
