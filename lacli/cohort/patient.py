@@ -11,13 +11,13 @@ import numpy as np
 from lacli.base.documents import read_json
 from lacli.base.errors import InputError, UsageError
 from lacli.cohort.comparison import REGIONAL, Model
+from lacli.contracts.identity import of_own_runs
 from lacli.contracts.targets import Targets
 from lacli.inference.box import Box, make_box
 from lacli.inference.emulation.emulator_set import load_emulators
 from lacli.mechanics.numerics.error_correlation import correlation
 
 RESULT, IDENTITY = "result.json", "calibration.json"
-_ORDER = "runs.numerics.order"
 
 
 def read_result(folder: Path) -> Mapping[str, Any]:
@@ -47,9 +47,7 @@ def held_against(folder: Path, targets: Targets) -> Targets:
     }
     if not any(errors.values()):
         return targets.with_errors_times(times)
-    identity = read_json(folder / IDENTITY)
-    content = identity.get("content") if isinstance(identity, dict) else None
-    order = content.get(_ORDER) if isinstance(content, dict) else None
+    order = of_own_runs(folder / IDENTITY, "numerics.order")
     if order not in (1, 2):
         raise InputError(f"{folder / IDENTITY}: tells no order of the cells, by which its discretisation errors go together.")
     return targets.widened(errors, correlation(targets.names, targets.mean, order)).with_errors_times(times)
@@ -118,7 +116,7 @@ def read_model(folder: Path, targets: Targets, name: str = REGIONAL) -> Model:
     if result.get("method") == "sequential":
         from lacli.calibration.sequential.outputs import features_of
 
-        return Model(name, features_of(folder / "runs.csv", box, targets.select(features)), box)
+        return Model(name, features_of(folder / "runs.csv", box, held_against(folder, targets)), box)
     emulators = load_emulators(folder / f"wave_{len(result['waves'])}" / "emulators.npz")
     missing = [feature for feature in features if feature not in emulators.outputs]
     if missing:

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from lacli.base.documents import read_json
 from lacli.base.errors import AnatomyError, UsageError
 from lacli.base.files import write_json
 from lacli.base.resources import folder as resource_folder
@@ -28,9 +29,9 @@ from lacli.contracts.scene import Scene
 # a number for each kind of kept thing: raised when what is kept is made in another way, so that nothing old is taken for new;
 # "runs" also when a scene's plan changes (lacli/mechanics/plan.py), which the deck and the libraries do not tell
 METHODS: dict[str, int] = {
-    "runs": 3, "calibration": 5, "emulators": 1, "region": 2, "chain": 3, "accuracy": 2, "figures": 1, "result": 1,
+    "runs": 3, "calibration": 6, "emulators": 1, "region": 2, "chain": 3, "accuracy": 2, "figures": 1, "result": 1,
     # of a study's steps alone, whose marks have all numbers
-    "anatomy": 5, "motion": 3, "comparison": 4,
+    "anatomy": 5, "motion": 3, "comparison": 5,
 }  # fmt: skip
 _SHOWN = 6  # differences named in a message
 _EXACT = 2**53  # whole numbers below it are the same as floats
@@ -179,6 +180,19 @@ def read_identity(file: Path) -> Identity | None:
         return parse_identity(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
+
+
+def of_own_runs(file: Path, key: str) -> Any:
+    """What a calibration's identity says of the simulations that its answer is of: where cheap ones carried it, of the reference.
+
+    None where it does not say it. Raises InputError where the file cannot be read.
+    """
+    identity = read_json(file)
+    content = identity.get("content") if isinstance(identity, dict) else None
+    if not isinstance(content, dict):
+        return None
+    corrected = any(name.startswith("reference.") for name in content)
+    return content.get(f"{'reference' if corrected else 'runs'}.{key}")
 
 
 def parse_identity(text: str) -> Identity | None:

@@ -44,7 +44,7 @@ def test_a_forecast_is_that_of_the_linear_model(tmp_path: Path) -> None:
     expected = np.sqrt(prior**2 - pull**2 / (0.1**2 + slope @ pull))
     assert found.prior_sd == pytest.approx(prior)
     assert found.expected_sd == pytest.approx(expected, rel=1e-9)
-    (row,) = by_group(log, x[0], targets, Scale.of(box()))
+    (row,) = by_group(targets, respond(x[0])[1][2:3], box())
     # one measurement: 1/2 log(1 + its variance before over its error's)
     assert row["alone_nats"] == pytest.approx(0.5 * np.log(1.0 + slope @ pull / 0.1**2), rel=1e-9)
     assert row["lost_without_nats"] == row["alone_nats"]

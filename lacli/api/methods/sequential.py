@@ -75,7 +75,8 @@ def foresee(
     from lacli.calibration.sequential.calibration import forecast_sequentially
 
     job = _prepared(scene, targets, folder, settings, work)
-    return forecast_sequentially(*job.parts, _hearing(Stage("forecast", 1.0, work.progress, work.cancel)))
+    hear = _hearing(Stage("forecast", 1.0, work.progress, work.cancel))
+    return forecast_sequentially(*job.parts, hear, job.reference)
 
 
 def prices(scene: Scene, targets: Targets, folder: Path, settings: Settings | None, work: Work) -> tuple[Price, ...]:

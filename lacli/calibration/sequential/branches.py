@@ -29,11 +29,13 @@ _FEW = 0.1  # a share of the runs that lie elsewhere in a frame and are left out
 @dataclass(frozen=True)
 class Branches:
     """times: frames of several states, whose targets no run tells; strays (n,): runs that lie elsewhere in what is left, or that
-    have two equilibria; torn (n,): the latter, the best run among them, which is no stray."""
+    have two equilibria; torn (n,): the latter, the best run among them, which is no stray; jumped: frames that are not left out,
+    in which some runs lie elsewhere."""
 
     times: tuple[float, ...]
     strays: BoolArray
     torn: BoolArray
+    jumped: tuple[float, ...] = ()
 
 
 def look(evidence: Evidence, targets: Targets) -> Branches:
@@ -42,6 +44,7 @@ def look(evidence: Evidence, targets: Targets) -> Branches:
     Runs that say of themselves that they have two equilibria are left out first, but for the best: the answer is about it.
     """
     left: list[float] = []
+    jumped: list[float] = []
     torn = np.asarray((evidence.spread > APART).any(1))
     strays = torn.copy()
     if evidence.told.any():
@@ -53,7 +56,8 @@ def look(evidence: Evidence, targets: Targets) -> Branches:
             left.append(time)
         else:
             strays |= off
-    return Branches(tuple(left), strays, torn)
+            jumped += [time] if time is not None and off.any() else []
+    return Branches(tuple(left), strays, torn, tuple(jumped))
 
 
 def without(targets: Targets, times: tuple[float, ...]) -> Targets:

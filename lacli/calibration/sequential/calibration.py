@@ -8,7 +8,7 @@ calibration goes the same way, finding its runs done.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +46,23 @@ _LEAST_OF_REFERENCE = 3  # of its runs, before it is believed what they correct
 _BUDGETS = ("max_runs", "reference_runs", "share", "correction_share", "mcmc")
 PARTS: tuple[Part, Part] = ("emulator", "correction")
 _AT_ONCE = 3  # runs of the check of the box between two looks
+_LEAST_BUDGET = 4  # runs of the reference without which there is no correction to rely on
+LAST = "at the most probable point"
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A posterior and the check of the box, of the same targets: modes known, emulators around them and of the whole box."""
+
+    evidence: Evidence
+    targets: Targets
+    known: list[Laplace]
+    local: Components
+    whole: Components
+    chain: mcmc.Chain
+    moved: FloatArray
+    swept: modes.Sweep
+    stopped: str
 
 
 @single_threaded
@@ -71,6 +88,8 @@ def calibrate_sequentially(
         raise UsageError(f"calibrate: at least 4 starts and {4 + 2 * box.d} runs are needed (--max-runs).")
     if len(targets.names) < 1:
         raise UsageError("calibrate: no targets.")
+    if reference is not None and settings.reference_runs < _LEAST_BUDGET:
+        raise UsageError(f"calibrate: at least {_LEAST_BUDGET} runs of the reference are needed (--reference-runs).")
     folder.mkdir(parents=True, exist_ok=True)
     identity = sequential_identity(box, targets, settings, log.identity, None if reference is None else reference.log.identity)
     if words := obstacle(folder, identity):
@@ -87,22 +106,20 @@ def calibrate_sequentially(
     if search.error_factor is not None and search.error_factor.value > 1.0:
         components = None  # they are of residuals in other standard deviations
     known = [_best(evidence)]
-    evidence, known, components, swept = _other_modes(
-        search, evidence, known, components, "other starts", settings.mode_runs // 2
-    )
-    chain, evidence, moved, local, stopped = _refine(search, evidence, known, folder)
-    evidence, known_after, components, swept = _other_modes(
-        search, evidence, known, components, "check of the box", settings.mode_runs // 2, rule_out=True
-    )
-    if len(known_after) > len(known):  # a mode that the first look missed: around it too
-        known = known_after
-        chain, evidence, moved, local, stopped = _refine(search, evidence, known, folder)
-    answer, misfit = descent.lowest(local, evidence.z[int(np.argmin(evidence.misfit))])
+    evidence, known, components, _ = _other_modes(search, evidence, known, components, "other starts", settings.mode_runs // 2)
+    found = _concluded(search, evidence, known, components, folder, settings.mode_runs // 2)
+    answer, misfit = descent.lowest(found.local, found.evidence.z[int(np.argmin(found.evidence.misfit))])
+    evidence = found.evidence
     if reference is None:
-        evidence = search.run(answer[None], "at the most probable point")
+        evidence = search.run(answer[None], LAST)
     elif evidence.misfit[evidence.own].min() - misfit > descent.SETTLED:
-        evidence = search.refer(answer[None], "at the most probable point")
-    result = result_of(search, evidence, known, local, components, chain, moved, swept, map_runs, stopped)
+        evidence = search.refer(answer[None], LAST)
+    if search.targets.names != found.targets.names:  # that run told of a frame that its states are several: without it once more
+        found = _concluded(search, evidence, found.known, None, folder, 0)
+        evidence = found.evidence
+    result = result_of(
+        search, evidence, found.known, found.local, found.whole, found.chain, found.moved, found.swept, map_runs, found.stopped
+    )
     write_json(folder / RESULT, {"identity": identity.digest, **document(result)})
     return result
 
@@ -116,13 +133,16 @@ def forecast_sequentially(
     folder: Path,
     log: RunLog,
     monitor: Monitor = lambda status: None,
+    reference: Reference | None = None,
 ) -> Forecast:
-    """What the targets can teach, from the runs that the calibration begins with (they are in the log for it).
+    """What the targets can teach, from the runs that the calibration begins with (they are in the log for it); reference: that
+    of the calibration, of which nothing is run.
 
     Raises as ``calibrate_sequentially``.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    write_identity(folder / FILE, sequential_identity(box, targets, settings, log.identity))
+    identity = sequential_identity(box, targets, settings, log.identity, None if reference is None else reference.log.identity)
+    write_identity(folder / FILE, identity)
     search = Search(simulator, box, targets, settings, log, monitor)
     _start(search, None)
     return forecast(log, search.x, search.targets, search.scale)
@@ -164,10 +184,15 @@ def _start(search: Search, first: FloatArray | None) -> Evidence:
 def _descend(search: Search, evidence: Evidence) -> tuple[Evidence, Components | None]:
     incumbents = [Incumbent(z) for z in evidence.z[evidence.told]]
     components = descent.emulate(evidence, None)
+    # a correction needs cheap runs beside those of the reference
+    kept = 0 if search.reference is None else _LEAST_BUDGET
     for _ in range(_DESCENT_ROUNDS):
         tried = descent.trials(evidence, incumbents, components)
-        if not tried or search.left <= 0:
+        if not tried:
             return evidence, components
+        tried = tried[: max(0, search.left - kept)]
+        if not tried:
+            break
         before = len(search.x)
         evidence = search.run(np.array([trial.z for trial in tried]), "to the most probable point")
         incumbents = descent.advance(evidence, descent.kept(evidence, incumbents), tried)
@@ -205,18 +230,60 @@ def _other_modes(
         where = found.candidates if len(found.candidates) or not rule_out or found.settled else found.doubtful
         if not len(where) or count <= 0:
             return evidence, known, components, found
-        before = len(search.x)
-        evidence = search.run(where[:count], stage)
-        if len(search.x) == before:
+        before, dear = len(search.x), len(search.dear)
+        evidence = _looked_at(search, evidence, where[:count], stage, bool(len(found.candidates)))
+        if len(search.x) == before and len(search.dear) == dear:
             return evidence, known, components, found
         used += len(search.x) - before
         components = emulate(evidence, components)
         for z in where[:count]:
-            row = descent.at(evidence, z)
-            ran = np.abs(evidence.z[row] - z).max() < 1e-6 and evidence.told[row]
-            as_good = evidence.misfit[row] < evidence.misfit.min() + _MODE
-            if ran and as_good and modes.same_valley(components, known, evidence.z[row]) is not None:
+            if _another(evidence, components, known, z) and search.dear_left > 1 and not evidence.own[descent.at(evidence, z)]:
+                evidence = search.refer(z[None], stage)  # of a valley the answer is of, the reference must have its say
+                components = emulate(evidence, components)
+            if _another(evidence, components, known, z):
+                row = descent.at(evidence, z)
                 known.append(Laplace.at(evidence.z[row], evidence.residual[row], evidence.jacobian[row]))
+
+
+def _looked_at(search: Search, evidence: Evidence, where: FloatArray, stage: str, valleys: bool) -> Evidence:
+    """The points run; of valleys that come again beside a cheap run, what is not known is the correction: the reference there."""
+    again = np.array([np.abs(evidence.z - z).max(1).min() < modes.APART for z in where])
+    again &= valleys and search.dear_left > 1
+    if not again.all():
+        evidence = search.run(where[~again], stage)
+    return search.refer(where[again][: min(PAIR, search.dear_left - 1)], stage) if again.any() else evidence
+
+
+def _another(evidence: Evidence, components: Components, known: list[Laplace], z: FloatArray) -> bool:
+    """Whether the run at z tells a valley that is as good as the best and not known."""
+    row = descent.at(evidence, z)
+    ran = np.abs(evidence.z[row] - z).max() < 1e-6 and evidence.told[row]
+    as_good = evidence.misfit[row] < evidence.misfit.min() + _MODE
+    return bool(ran and as_good and modes.same_valley(components, known, evidence.z[row]) is not None)
+
+
+def _concluded(
+    search: Search,
+    evidence: Evidence,
+    known: list[Laplace],
+    components: Components | None,
+    folder: Path,
+    budget: int,
+) -> _Found:
+    """The posterior, and the check of the box by up to so many runs; again where that finds a mode, or that the states of a frame
+    are several: what is told of all must be of the same targets."""
+    while True:
+        before = search.targets.names
+        chain, evidence, moved, local, stopped = _refine(search, evidence, known, folder)
+        held = search.targets
+        if held.names != before:
+            known = _renewed(evidence, known)
+        evidence, after, whole, swept = _other_modes(
+            search, evidence, known, components, "check of the box", budget, rule_out=True
+        )
+        if len(after) == len(known) and search.targets.names == held.names:
+            return _Found(evidence, held, known, local, whole, chain, moved, swept, stopped)
+        known, components, budget = _renewed(evidence, after), None, 0
 
 
 def _renewed(evidence: Evidence, known: list[Laplace]) -> list[Laplace]:
@@ -261,9 +328,9 @@ def _refine(
                 stopped += f", the correction's by less than {settings.correction_share:g}"
             break
         before = len(search.x) + len(search.dear)
-        count = min(settings.first_runs if round_ == 1 else settings.batch, search.left - reserve)
-        # each part of the error by the runs that lessen it
-        dear = min(0 if enough else PAIR, search.dear_left - 1)
+        # each part of the error by the runs that lessen it; each of the reference takes a cheap one beside it
+        dear = max(0, min(0 if enough else PAIR, search.dear_left - 1, search.left - reserve))
+        count = min(settings.first_runs if round_ == 1 else settings.batch, search.left - reserve - dear)
         if round_ > 1 and of_runs.max() < settings.share and effective > LEAST_EFFECTIVE:
             count = 0
         if max(count, dear) <= 0:
@@ -271,7 +338,8 @@ def _refine(
             if search.reference is not None:
                 stopped += f", {settings.reference_runs} of the reference"
             worst = int(np.argmax(moved))
-            more = "--max-runs" if of_runs.max() > of_correction.max() else "--reference-runs"
+            short = search.left <= reserve or of_runs.max() > of_correction.max()
+            more = "--max-runs" if short else "--reference-runs"
             search.notes.append(
                 f"the emulator's error may still move the mean of {search.box.names[worst]} by {moved[worst]:.2f} of its sd "
                 f"(asked: {settings.share:g}); more runs ({more}) would settle it."

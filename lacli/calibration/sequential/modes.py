@@ -25,7 +25,7 @@ _FAVOUR = 3.0  # emulator's standard deviations
 NEAR = 6.0  # Mahalanobis, from a mode whose runs are known
 _LEVEL = 1e-4  # of a chi-square in the inputs: of this little posterior mass a point may be the boundary
 _DESCENTS = 48
-_APART = 0.1  # widths of the box between two valleys
+APART = 0.1  # widths of the box between two valleys
 _CONTENDER = 1e-3  # posterior probability from which a valley is looked at with a run
 _RULED_OUT = 0.01  # of the box: as little left open is ruled out
 _ASUNDER, _DOUBTFUL = 0.3, 12  # widths of the box between doubtful points, and how many of them
@@ -79,7 +79,7 @@ def sweep(components: Components, known: list[Laplace], best: float, seed: int) 
     found: list[tuple[float, FloatArray]] = []
     for i in order[:_DESCENTS]:
         end = same_valley(components, known, z[i])
-        if end is None or any(np.abs(end - other).max() < _APART for _, other in found):
+        if end is None or any(np.abs(end - other).max() < APART for _, other in found):
             continue
         mean, slope = components.mean(end[None])[0], components.slope(end)
         spread = 1.0 + _DOUBLED * components.predict(end[None])[1][0]

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from lacli.base.arrays import FloatArray
+from lacli.base.arrays import BoolArray, FloatArray
 from lacli.base.errors import InputError
 from lacli.base.threads import single_threaded
 from lacli.calibration.sequential import branches
 from lacli.calibration.sequential.emulator import Components
 from lacli.calibration.sequential.evidence import Evidence, factor, gather
 from lacli.calibration.sequential.fidelity.corrected import emulate
-from lacli.calibration.sequential.fidelity.correction import corrected, fit_correction
+from lacli.calibration.sequential.fidelity.correction import corrected, fit_correction, sound
 from lacli.calibration.sequential.scale import Scale
 from lacli.contracts.targets import Targets
 from lacli.inference.box import Box
@@ -81,23 +81,26 @@ class Features:
 def features_of(file: Path, box: Box, targets: Targets) -> Features:
     """The emulator of all runs in a calibration's ``runs.csv``, which correct those of ``runs_cheap.csv`` where there are any.
 
+    targets: with the errors that the calibration held them with: by these it is judged which runs lie on another branch.
+
     Raises InputError where none tells derivatives.
     """
-    log = RunLog(file, box.names, targets.names, None)
     scale = Scale.of(box)
     plain = replace(targets, priors=None)
-    evidence = _told(log, plain, scale)
+    evidence, off = _told(file, plain, scale)
     if not evidence.told.any():
         raise InputError(f"{file}: no run in it tells derivatives; calibrate again.")
     if (beside := file.with_name(CHEAP)).is_file():
-        cheap = _told(RunLog(beside, box.names, targets.names, None), plain, scale)
-        if (correction := fit_correction(cheap, evidence)) is None:
+        cheap, of_cheap = _told(beside, plain, scale)
+        learnt, kept, dear = sound(cheap, evidence, (of_cheap, off))
+        if (correction := fit_correction(learnt, dear)) is None:
             raise InputError(f"{file}: too few runs that tell derivatives are in {CHEAP} too; calibrate again.")
-        evidence = corrected(cheap, evidence, correction)
-    return Features(emulate(evidence), scale, plain, targets.names)
+        return Features(emulate(corrected(kept, dear, correction)), scale, plain, targets.names)
+    return Features(emulate(evidence.take(~off)), scale, plain, targets.names)
 
 
-def _told(log: RunLog, targets: Targets, scale: Scale) -> Evidence:
-    """All runs of a log but for those on another branch."""
+def _told(file: Path, targets: Targets, scale: Scale) -> tuple[Evidence, BoolArray]:
+    """All runs of a log, and which of them lie on another branch (n,)."""
+    log = RunLog(file, scale.box.names, targets.names, None)
     evidence = gather(log, np.array(list(log.rows)), targets, scale)
-    return evidence.take(~branches.look(evidence, targets).strays)
+    return evidence, branches.look(evidence, targets).strays

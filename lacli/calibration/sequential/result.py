@@ -105,6 +105,8 @@ def result_of(
     row = int(np.argmin(np.where(evidence.own, evidence.misfit, np.inf)))
     misfit, map_x = float(evidence.chi2[row]), evidence.x[row]
     told = evidence.best
+    by_z = factor(targets) @ evidence.jacobian[told, : evidence.targets]  # where it tells none itself, as corrected
+    slopes = by_z / search.scale.slope(evidence.x[told][None])
     frame = search.told.frame(evidence.x[row][None])
     nearest = frame[list(targets.names)].to_numpy(float)[0]
     features = Features(local, search.scale, targets, targets.names)
@@ -163,7 +165,7 @@ def result_of(
         moved,
         search.scale.to_x(np.array([mode.centre for mode in known])), swept, chain, fitted, local.held_out, stopped, refused,
         tuple(notes), search.x, float(used["cpu_s"].sum()) + (fidelity.cpu_s if fidelity else 0.0), search.left_out, rmse,
-        by_group(search.told, evidence.x[told], targets, search.scale), scores, fidelity, search.error_factor,
+        by_group(targets, slopes, search.box), scores, fidelity, search.error_factor,
     )  # fmt: skip
 
 

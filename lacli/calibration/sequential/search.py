@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lacli.base.arrays import FloatArray
+from lacli.base.errors import LacliError
 from lacli.calibration.sequential import branches
 from lacli.calibration.sequential.evidence import Evidence, factor, gather, narrowed
-from lacli.calibration.sequential.fidelity.correction import Correction, corrected, fit_correction, pairs
+from lacli.calibration.sequential.fidelity.correction import LEAST, Correction, corrected, fit_correction, pairs, sound
 from lacli.calibration.sequential.fidelity.error_factor import ErrorFactor, error_factor
 from lacli.calibration.sequential.scale import Scale
 from lacli.contracts.targets import Targets
@@ -123,7 +124,10 @@ class Search:
             self.stages[stage] = self.stages.get(stage, 0) + len(self.x) - before
 
     def evidence(self) -> Evidence:
-        """Of all runs so far but for those on another branch; targets of frames that have several are left out from now on."""
+        """Of all runs so far but for those on another branch; targets of frames that have several are left out from now on.
+
+        Raises LacliError where no runs are left that correct the cheap ones, which some did before.
+        """
         while True:
             found = gather(self.log, self.x, self.targets, self.scale)
             dear = gather(self.reference.log, self.dear, self.targets, self.scale) if self.reference and len(self.dear) else None
@@ -131,20 +135,28 @@ class Search:
                 return found
             looked = [branches.look(runs, self.targets) for runs in (found, dear) if runs is not None and len(runs.z)]
             times = tuple(time for seen in looked for time in seen.times)
+            if not times and dear is not None and len(dear.z) and _too_few(found, dear, looked):
+                times = tuple(time for seen in looked for time in seen.jumped)  # rather than be without a correction
             if not times:
                 break
             self.targets = branches.without(self.targets, times)
         self.strays = sum(int((seen.strays & ~seen.torn).sum()) for seen in looked)
         self.torn = sum(int((seen.strays & seen.torn).sum()) for seen in looked)
-        found = found.take(~looked[0].strays)
         if dear is None or not len(dear.z):
-            return found
-        dear = dear.take(~looked[1].strays)
-        known = (self.targets.names, found.x[pairs(found, dear)[:, 0]].tobytes())
+            return found.take(~looked[0].strays)
+        learnt, kept, dear = sound(found, dear, (looked[0].strays, looked[1].strays))
+        known = (self.targets.names, learnt.x[pairs(learnt, dear)[:, 0]].tobytes())
         if self._correction[0] != known:
-            self._correction = known, fit_correction(found, dear)
+            before = self._correction[1]
+            self._correction = known, fit_correction(learnt, dear)
+            if before is not None and self._correction[1] is None:
+                raise LacliError(
+                    f"calibrate: of {len(self.dear)} runs of the reference fewer than {LEAST} are left that tell derivatives and "
+                    f"lie on one branch with the others: nothing corrects the cheap runs. Look at {self.told.path}, or let all "
+                    "runs be the scene's own (--cheap none)."
+                )
         correction = self._correction[1]
-        return found if correction is None else corrected(found, dear, correction)
+        return learnt if correction is None else corrected(kept, dear, correction)
 
     def infer_errors(self, evidence: Evidence) -> Evidence:
         """The evidence with the errors that were added to the targets' as large as the best run's misfit says."""
@@ -187,6 +199,14 @@ class Search:
     def say(self, stage: str) -> None:
         """Tell the monitor of a stage without runs."""
         self.monitor(Status(stage, 0, 0, len(self.x)))
+
+
+def _too_few(found: Evidence, dear: Evidence, looked: list[branches.Branches]) -> bool:
+    """Whether so few pairs of both fidelities lie on one branch that nothing is learnt from them, though enough were run."""
+    paired = pairs(found, dear)
+    told = found.told[paired[:, 0]] & dear.told[paired[:, 1]]
+    off = looked[0].strays[paired[:, 0]] | looked[1].strays[paired[:, 1]]
+    return bool(told.sum() >= LEAST > (told & ~off).sum())
 
 
 def _joined(x: FloatArray, more: FloatArray) -> FloatArray:

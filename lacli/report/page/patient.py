@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from lacli.base.documents import read_json
 from lacli.base.errors import AnatomyError, InputError
 from lacli.base.version import __version__
-from lacli.contracts.identity import bundle_digest, flatten
+from lacli.contracts.identity import bundle_digest, flatten, of_own_runs
 from lacli.contracts.labels import BODY_REGIONS
 from lacli.contracts.parameters import QUANTITIES
 from lacli.report.page import methods
@@ -70,9 +70,7 @@ def _sequential(result: Mapping[str, Any]) -> bool:
 def _check_anatomy(folder: Path, run: Run) -> None:
     """Raises InputError where the calibration's bundle is another than the run's."""
     file = folder / "calibration.json"
-    document = read_json(file) if file.is_file() else {}
-    content = document.get("content") if isinstance(document, dict) else None
-    known = content.get("runs.bundle") if isinstance(content, dict) else None
+    known = of_own_runs(file, "bundle") if file.is_file() else None
     if known is None:
         return
     try:

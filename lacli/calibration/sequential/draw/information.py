@@ -9,12 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from lacli.base.arrays import FloatArray
-from lacli.calibration.sequential.evidence import gather
+from lacli.calibration.sequential.evidence import factor, gather
 from lacli.calibration.sequential.scale import Scale
 from lacli.contracts.priors import prior_sd
 from lacli.contracts.targets import Targets
+from lacli.inference.box import Box
 from lacli.inference.runs import RunLog
 
 # of a target's name, its group
@@ -67,18 +69,19 @@ def group_of(name: str) -> str:
     return f"{kind} in frames" if at else kind
 
 
-def by_group(log: RunLog, x: FloatArray, targets: Targets, scale: Scale) -> list[dict[str, float | str]]:
-    """At the run at x (d,): by group of targets, how many, the nats that they tell alone, and those lost without them."""
-    before = prior_sd(targets.priors, scale.box.names, scale.box.lower, scale.box.upper)
+def by_group(targets: Targets, slopes: FloatArray, box: Box) -> list[dict[str, float | str]]:
+    """By the derivatives (p, d) of the targets' features by the inputs: by group of targets, how many, the nats that they tell
+    alone, and those lost without them."""
+    before = prior_sd(targets.priors, box.names, box.lower, box.upper)
     groups: dict[str, list[str]] = {}
     for name in targets.names:
         groups.setdefault(group_of(name), []).append(name)
+    of = dict(zip(targets.names, slopes, strict=True))
 
     def gain(names: list[str]) -> float:
         if not names:
             return 0.0
-        evidence = gather(log, x[None], targets.select(names), scale)
-        by_x = evidence.jacobian[0, : len(names)] / scale.slope(x[None]) * before
+        by_x = solve_triangular(factor(targets.select(names)), np.array([of[name] for name in names]), lower=True) * before
         return float(0.5 * np.linalg.slogdet(np.eye(len(before)) + by_x.T @ by_x)[1])
 
     whole = gain(list(targets.names))

@@ -33,8 +33,8 @@ def bridge(search: Search, evidence: Evidence) -> Evidence:
         said = "none was made" if frame is None else ", ".join(sorted({str(s) for s in frame["status"]}))
         raise LacliError(
             f"calibrate: {len(search.dear)} runs of the reference at the cheap runs' most probable point give no correction "
-            f"({said}): fewer than {LEAST} finished with derivatives. Look at {search.told.path}, or let all "
-            "runs be the scene's own (--cheap none)."
+            f"({said}): fewer than {LEAST} finished with derivatives{', on one branch' if search.strays + search.torn else ''}. "
+            f"Look at {search.told.path}, or let all runs be the scene's own (--cheap none)."
         )
     for _ in range(_STEPS):
         own = np.flatnonzero(evidence.own & evidence.told)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lacli.base.arrays import FloatArray, IntArray
+from lacli.base.arrays import BoolArray, FloatArray, IntArray
 from lacli.calibration.sequential.emulator import Components, fit
 from lacli.calibration.sequential.evidence import Evidence
 
@@ -55,6 +55,16 @@ def fit_correction(cheap: Evidence, dear: Evidence) -> Correction | None:
     delta = fit(z, high - low, high_slope - low_slope)
     rho = _rho(delta, delta.rows.observations(low, low_slope), delta.rows.observations(high, high_slope))
     return Correction(rho, fit(z, high - rho * low, high_slope - rho * low_slope, delta))
+
+
+def sound(cheap: Evidence, dear: Evidence, off: tuple[BoolArray, BoolArray]) -> tuple[Evidence, Evidence, Evidence]:
+    """Without the runs ``off`` of each, which lie on another branch: the cheap ones that a correction may be learnt from, those
+    that it is for, and the reference's. A cheap run that is off stays in the second where the reference's own tells of it."""
+    dear = dear.take(~off[1])
+    kept = ~off[0]
+    for i, j in pairs(cheap, dear):
+        kept[i] |= dear.told[j]
+    return cheap.take(~off[0]), cheap.take(kept), dear
 
 
 def corrected(cheap: Evidence, dear: Evidence, correction: Correction) -> Evidence:
