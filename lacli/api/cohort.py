@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from lacli.cohort.participants import Participant
     from lacli.cohort.steps import Step
     from lacli.cohort.study import Outcome, Planned
+    from lacli.contracts.scene import Scene
 
     Patients = list[tuple[Participant, list[Step]]]
 
@@ -27,7 +28,8 @@ class Cohort:
     """A study: its steps as they stood before the call, and where they were done, each patient's outcome and a summary.
 
     cost of what was to do: ``calibrations``, ``runs_each`` at most, ``cpu_s_per_run`` (CPU seconds; the median of the study's
-    runs so far, or None). summary: counts, misfit of the models over patients, notes. Of a dry run and of a script for SLURM,
+    runs so far, or None); where cheap runs carry calibrations, ``reference_runs_each`` and ``cpu_s_per_reference_run`` are
+    those of the scene's own. summary: counts, misfit of the models over patients, notes. Of a dry run and of a script for SLURM,
     outcomes and summary are empty.
     """
 
@@ -189,37 +191,47 @@ def _cost(chosen: Patients, rows: Sequence[Planned], folder: Path, settings: Pat
     every = [step for patient, steps in chosen for step in steps if (patient.identifier, step.name) in todo]
     steps = [step for step in every if step.arguments[0] == "calibrate"]
     simulated = [step for step in steps if "--from-table" not in step.arguments]
-    each = max((runs_at_most(step, given) for step in simulated), default=0)
-    return {"calibrations": len(simulated), "runs_each": each, "cpu_s_per_run": median_cpu_s(folder)}
+    most = [runs_at_most(step, given) for step in simulated]
+    each, of_reference = (max(counts, default=0) for counts in zip(*most, strict=True)) if most else (0, 0)
+    of_runs, of_own = median_cpu_s(folder)
+    return {
+        "calibrations": len(simulated), "runs_each": each, "cpu_s_per_run": of_runs,
+        "reference_runs_each": of_reference, "cpu_s_per_reference_run": of_own,
+    }  # fmt: skip
 
 
-def runs_at_most(step: Step, given: Mapping[str, Any]) -> int:
-    """Runs of a calibration's step at most, with these options: of the sequential method, or where they or the scene ask for
-    it, of the published one."""
+def runs_at_most(step: Step, given: Mapping[str, Any]) -> tuple[int, int]:
+    """Runs of a calibration's step at most, with these options, and those of the scene's own that correct them, where they are
+    cheap: of the sequential method, or where they or the scene ask for it, of the published one."""
+    from lacli.api.methods.sequential import lacking
     from lacli.calibration.calibration import Settings as Published
+    from lacli.calibration.sequential.fidelity.companion import usual
     from lacli.calibration.sequential.search import Settings as Sequential
 
-    method = given.get("method")
+    method, scene = given.get("method"), _scene(step)
     if method is None:
-        published = given.get("sensitivities") is False or any(name in given for name in OF_WAVES) or _tells_none(step)
+        told_none = scene is not None and bool(lacking(scene))
+        published = given.get("sensitivities") is False or any(name in given for name in OF_WAVES) or told_none
         method = "published" if published else "sequential"
     if method == "sequential":
-        return int(given.get("max-runs", Sequential.max_runs))
+        carried = given.get("cheap", usual(scene) if scene is not None else ())
+        cheap = bool(carried) and "none" not in carried
+        reference = int(given.get("reference-runs", Sequential.reference_runs)) if cheap else 0
+        return int(given.get("max-runs", Sequential.max_runs)), reference
     default, names = Published(), ("first_runs", "wave_runs", "max_waves", "max_runs")
-    first, following, waves, most = (int(given.get(name.replace("_", "-"), getattr(default, name))) for name in names)
-    return min(most, first + following * (waves - 1))
+    first, following, waves, at_most = (int(given.get(name.replace("_", "-"), getattr(default, name))) for name in names)
+    return min(at_most, first + following * (waves - 1)), 0
 
 
-def _tells_none(step: Step) -> bool:
-    """Whether runs of the step's scene tell no derivatives; a scene that cannot be read fails later, with its reason."""
-    from lacli.api.methods.sequential import lacking
+def _scene(step: Step) -> Scene | None:
+    """The step's scene; None of one that cannot be read: it fails later, with its reason."""
     from lacli.contracts.scene import load_scene
 
     words = step.arguments
     try:
-        return bool(lacking(load_scene(Path(words[1]), [words[i + 1] for i, word in enumerate(words) if word == "--set"])))
+        return load_scene(Path(words[1]), [words[i + 1] for i, word in enumerate(words) if word == "--set"])
     except LacliError:
-        return False
+        return None
 
 
 def _write_slurm(

@@ -51,7 +51,9 @@ def test_the_dry_run_runs_nothing(table: Path) -> None:
     assert [(r["participant_id"], r["step"], r["state"]) for r in document["steps"][:2]] == [
         ("sub-1", "calibrate", "to do"), ("sub-1", "compare", "to do"),
     ]  # fmt: skip
-    assert document["cost"] == {"calibrations": 0, "runs_each": 0, "cpu_s_per_run": None}  # the runs are there
+    assert document["cost"] == {  # the runs are there
+        "calibrations": 0, "runs_each": 0, "cpu_s_per_run": None, "reference_runs_each": 0, "cpu_s_per_reference_run": None,
+    }  # fmt: skip
     assert "lacli calibrate --from-table" in _call(table, "--dry-run").stdout
     assert not (table.parent / "study").exists()
     script = table.parent / "job.sh"

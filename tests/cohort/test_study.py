@@ -148,8 +148,11 @@ def test_the_tables_hold_who_is_done_and_say_who_is_not(tmp_path: Path) -> None:
     assert len(table) == 10 and set(table["region"]) == set(BODY_REGIONS)
     draws = pd.read_csv(study / "draws.csv")
     assert len(draws) == 2 * 5 * 200 and set(draws["draw"]) == set(range(200))
-    assert median_cpu_s(study) == 20.0
-    assert median_cpu_s(tmp_path / "nowhere") is None
+    assert median_cpu_s(study) == (20.0, None)
+    assert median_cpu_s(tmp_path / "nowhere") == (None, None)
+    # of one patient whose runs were carried by cheap ones, those are the dear ones
+    (study / "sub-0" / "calibration" / "runs_cheap.csv").write_text("cpu_s\n1.0\n2.0\n3.0\n")
+    assert median_cpu_s(study) == (3.0, 20.0)  # of 1, 2, 3 and the other patient's 10, 30
 
     features = pd.read_csv(study / "features.csv").set_index("feature")
     # emulated 5, targets 5 to 9, the same in both patients: no spread; sd .2

@@ -99,8 +99,12 @@ def _check_options(settings: Path | None) -> None:
 def _cost_words(cost: dict[str, Any]) -> str:
     if not cost["calibrations"]:
         return "No simulations to make."
-    runs = f"{cost['calibrations']} calibrations to do, of at most {cost['runs_each']} runs each"
-    if cost["cpu_s_per_run"] is None:
+    own = cost["reference_runs_each"]
+    beside = f" and {own} of the scene's own that correct them" if own else ""
+    runs = f"{cost['calibrations']} calibrations to do, of at most {cost['runs_each']} runs each{beside}"
+    each, of_own = cost["cpu_s_per_run"], cost["cpu_s_per_reference_run"]
+    if each is None or (own and of_own is None):
         return f"{runs}; what a run costs is not known before the first patient's (`lacli simulate --dry-run` tells)."
-    hours = cost["calibrations"] * cost["runs_each"] * cost["cpu_s_per_run"] / 3600
-    return f"{runs}: {hours:.3g} CPU hours at most, at {cost['cpu_s_per_run']:.3g} s a run as in this study so far."
+    hours = cost["calibrations"] * (cost["runs_each"] * each + own * (of_own or 0.0)) / 3600
+    price = f"{each:.3g} s a run" + (f" and {of_own:.3g} s one of the scene's own," if own else "")
+    return f"{runs}: {hours:.3g} CPU hours at most, at {price} as in this study so far."

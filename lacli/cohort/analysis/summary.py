@@ -135,17 +135,26 @@ def write_summary(study: Path, participants: Sequence[Participant], outcomes: Se
     return summary
 
 
-def median_cpu_s(study: Path) -> float | None:
-    """Median CPU seconds of the simulations that a study has made so far; None where there are none."""
+def median_cpu_s(study: Path) -> tuple[float | None, float | None]:
+    """Median CPU seconds of the simulations that a study has made so far, and of the scenes' own that corrected cheap ones; None
+    where there are none."""
+    found: tuple[list[float], list[float]] = ([], [])
+    for file in sorted(study.glob("*/calibration/runs.csv")):
+        cheap = file.with_name("runs_cheap.csv")
+        for known, table in zip(found, (cheap, file) if cheap.is_file() else (file,), strict=False):
+            known += _cpu_s(table)
+    of_runs, of_own = (float(np.median(known)) if known else None for known in found)
+    return of_runs, of_own
+
+
+def _cpu_s(table: Path) -> list[float]:
     from lacli.contracts.tables.file import read_frame
 
-    known: list[float] = []
-    for file in sorted(study.glob("*/calibration/runs.csv")):
-        frame = read_frame(file)
-        if "cpu_s" in frame:
-            seconds = pd.to_numeric(frame["cpu_s"], errors="coerce").to_numpy(float)
-            known += seconds[np.isfinite(seconds)].tolist()
-    return float(np.median(known)) if known else None
+    frame = read_frame(table)
+    if "cpu_s" not in frame:
+        return []
+    seconds = pd.to_numeric(frame["cpu_s"], errors="coerce").to_numpy(float)
+    return list(map(float, seconds[np.isfinite(seconds)]))
 
 
 def _over_patients(models: list[dict[str, Any]]) -> list[dict[str, Any]]:
