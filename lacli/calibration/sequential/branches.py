@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lacli.base.arrays import BoolArray
+from lacli.base.arrays import BoolArray, FloatArray
 from lacli.calibration.sequential.evidence import Evidence, factor
 from lacli.contracts.features import parse
 from lacli.contracts.targets import Targets
@@ -38,20 +38,23 @@ class Branches:
     jumped: tuple[float, ...] = ()
 
 
-def look(evidence: Evidence, targets: Targets) -> Branches:
+def look(evidence: Evidence, targets: Targets, order: FloatArray | None = None) -> Branches:
     """Compare the runs in each frame: those left out are as few as leave no contradiction, and never the best run.
+
+    order (n,): the lowest is the best run, and of two that could be left out the higher one is; the misfit if not given.
 
     Runs that say of themselves that they have two equilibria are left out first, but for the best: the answer is about it.
     """
+    order = evidence.misfit if order is None else order
     left: list[float] = []
     jumped: list[float] = []
     torn = np.asarray((evidence.spread > APART).any(1))
     strays = torn.copy()
     if evidence.told.any():
-        strays[int(np.argmin(np.where(evidence.told, evidence.misfit, np.inf)))] = False
+        strays[int(np.argmin(np.where(evidence.told, order, np.inf)))] = False
     whole = evidence.told & ~strays
     for time, columns in _frames(targets).items():
-        compared, off = _elsewhere(evidence, targets, columns, whole)
+        compared, off = _elsewhere(evidence, targets, columns, whole, order)
         if time is not None and off.sum() > max(1.0, _FEW * compared):
             left.append(time)
         else:
@@ -80,7 +83,9 @@ def _frames(targets: Targets) -> dict[float | None, list[int]]:
     return found
 
 
-def _elsewhere(evidence: Evidence, targets: Targets, columns: list[int], compared: BoolArray) -> tuple[int, BoolArray]:
+def _elsewhere(
+    evidence: Evidence, targets: Targets, columns: list[int], compared: BoolArray, order: FloatArray
+) -> tuple[int, BoolArray]:
     """Of the outputs ``columns``: how many of the runs ``compared`` (n,) have another near them, and which are elsewhere (n,)."""
     own = (factor(targets) / targets.sd[:, None])[columns]  # whitened -> each target in its own standard deviations
     rows = np.flatnonzero(compared)
@@ -96,12 +101,12 @@ def _elsewhere(evidence: Evidence, targets: Targets, columns: list[int], compare
         jump[i, others] = (rest > _REST) & (rest > _OF_BEND * bend)
         near[i, others] = True
     jump, near = jump | jump.T, near | near.T
-    misfit = evidence.misfit[rows]
+    order = order[rows]
     off = np.zeros(len(evidence.z), bool)
     while (count := jump.sum(1)).any():
-        # most contradictions first, of the same number the worse fit; the best run contradicts nobody
-        count[misfit == misfit.min()] = np.minimum(count[misfit == misfit.min()], 0)
-        worst = int(np.lexsort((misfit, count))[-1])
+        # most contradictions first, of the same number the worse run; the best run contradicts nobody
+        count[order == order.min()] = 0
+        worst = int(np.lexsort((order, count))[-1])
         off[rows[worst]] = True
         jump[worst] = jump[:, worst] = False
     return int(near.any(1).sum()), off

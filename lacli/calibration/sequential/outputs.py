@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from lacli.base.arrays import BoolArray, FloatArray
+from lacli.base.arrays import FloatArray
 from lacli.base.errors import InputError
 from lacli.base.threads import single_threaded
 from lacli.calibration.sequential import branches
 from lacli.calibration.sequential.emulator import Components
 from lacli.calibration.sequential.evidence import Evidence, factor, gather
 from lacli.calibration.sequential.fidelity.corrected import emulate
-from lacli.calibration.sequential.fidelity.correction import corrected, fit_correction, sound
+from lacli.calibration.sequential.fidelity.correction import corrected, far_from_best, fit_correction, sound
 from lacli.calibration.sequential.scale import Scale
 from lacli.contracts.targets import Targets
 from lacli.inference.box import Box
@@ -87,11 +87,13 @@ def features_of(file: Path, box: Box, targets: Targets) -> Features:
     """
     scale = Scale.of(box)
     plain = replace(targets, priors=None)
-    evidence, off = _told(file, plain, scale)
+    evidence = _told(file, plain, scale)
+    off = branches.look(evidence, plain).strays
     if not evidence.told.any():
         raise InputError(f"{file}: no run in it tells derivatives; calibrate again.")
     if (beside := file.with_name(CHEAP)).is_file():
-        cheap, of_cheap = _told(beside, plain, scale)
+        cheap = _told(beside, plain, scale)
+        of_cheap = branches.look(cheap, plain, far_from_best(cheap, evidence)).strays
         learnt, kept, dear = sound(cheap, evidence, (of_cheap, off))
         if (correction := fit_correction(learnt, dear)) is None:
             raise InputError(f"{file}: too few runs that tell derivatives are in {CHEAP} too; calibrate again.")
@@ -99,8 +101,7 @@ def features_of(file: Path, box: Box, targets: Targets) -> Features:
     return Features(emulate(evidence.take(~off)), scale, plain, targets.names)
 
 
-def _told(file: Path, targets: Targets, scale: Scale) -> tuple[Evidence, BoolArray]:
-    """All runs of a log, and which of them lie on another branch (n,)."""
+def _told(file: Path, targets: Targets, scale: Scale) -> Evidence:
+    """All runs of a log."""
     log = RunLog(file, scale.box.names, targets.names, None)
-    evidence = gather(log, np.array(list(log.rows)), targets, scale)
-    return evidence, branches.look(evidence, targets).strays
+    return gather(log, np.array(list(log.rows)), targets, scale)

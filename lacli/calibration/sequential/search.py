@@ -11,7 +11,8 @@ from lacli.base.arrays import FloatArray
 from lacli.base.errors import LacliError
 from lacli.calibration.sequential import branches
 from lacli.calibration.sequential.evidence import Evidence, factor, gather, narrowed
-from lacli.calibration.sequential.fidelity.correction import LEAST, Correction, corrected, fit_correction, pairs, sound
+from lacli.calibration.sequential.fidelity import correction as fidelities
+from lacli.calibration.sequential.fidelity.correction import Correction, corrected, fit_correction, pairs
 from lacli.calibration.sequential.fidelity.error_factor import ErrorFactor, error_factor
 from lacli.calibration.sequential.scale import Scale
 from lacli.contracts.targets import Targets
@@ -133,7 +134,9 @@ class Search:
             dear = gather(self.reference.log, self.dear, self.targets, self.scale) if self.reference and len(self.dear) else None
             if not len(found.z):
                 return found
-            looked = [branches.look(runs, self.targets) for runs in (found, dear) if runs is not None and len(runs.z)]
+            looked = [branches.look(found, self.targets, fidelities.far_from_best(found, dear))]
+            if dear is not None and len(dear.z):
+                looked.append(branches.look(dear, self.targets))
             times = tuple(time for seen in looked for time in seen.times)
             if not times and dear is not None and len(dear.z) and _too_few(found, dear, looked):
                 times = tuple(time for seen in looked for time in seen.jumped)  # rather than be without a correction
@@ -144,16 +147,16 @@ class Search:
         self.torn = sum(int((seen.strays & seen.torn).sum()) for seen in looked)
         if dear is None or not len(dear.z):
             return found.take(~looked[0].strays)
-        learnt, kept, dear = sound(found, dear, (looked[0].strays, looked[1].strays))
+        learnt, kept, dear = fidelities.sound(found, dear, (looked[0].strays, looked[1].strays))
         known = (self.targets.names, learnt.x[pairs(learnt, dear)[:, 0]].tobytes())
         if self._correction[0] != known:
             before = self._correction[1]
             self._correction = known, fit_correction(learnt, dear)
             if before is not None and self._correction[1] is None:
                 raise LacliError(
-                    f"calibrate: of {len(self.dear)} runs of the reference fewer than {LEAST} are left that tell derivatives and "
-                    f"lie on one branch with the others: nothing corrects the cheap runs. Look at {self.told.path}, or let all "
-                    "runs be the scene's own (--cheap none)."
+                    f"calibrate: of {len(self.dear)} runs of the reference fewer than {fidelities.LEAST} are left that tell "
+                    "derivatives and lie on one branch with the others: nothing corrects the cheap runs. Look at "
+                    f"{self.told.path}, or let all runs be the scene's own (--cheap none)."
                 )
         correction = self._correction[1]
         return learnt if correction is None else corrected(kept, dear, correction)
@@ -206,7 +209,7 @@ def _too_few(found: Evidence, dear: Evidence, looked: list[branches.Branches]) -
     paired = pairs(found, dear)
     told = found.told[paired[:, 0]] & dear.told[paired[:, 1]]
     off = looked[0].strays[paired[:, 0]] | looked[1].strays[paired[:, 1]]
-    return bool(told.sum() >= LEAST > (told & ~off).sum())
+    return bool(told.sum() >= fidelities.LEAST > (told & ~off).sum())
 
 
 def _joined(x: FloatArray, more: FloatArray) -> FloatArray:

@@ -52,7 +52,7 @@ def test_a_cheap_run_on_another_branch_teaches_nothing_but_stays_where_the_refer
     search.refer(z[:4], "both")
     seen: list[Evidence] = []
 
-    def look(evidence: Evidence, _: Targets) -> Branches:
+    def look(evidence: Evidence, _: Targets, order: object = None) -> Branches:
         seen.append(evidence)
         return Branches((), np.zeros(len(evidence.z), bool), np.zeros(len(evidence.z), bool))
 
@@ -88,7 +88,7 @@ def test_a_frame_in_which_the_reference_jumps_goes_rather_than_the_correction(tm
     z = np.random.default_rng(0).random((6, 3))
     search.run(z, "cheap")
 
-    def look(evidence: Evidence, of: Targets) -> Branches:
+    def look(evidence: Evidence, of: Targets, order: object = None) -> Branches:
         off = np.zeros(len(evidence.z), bool)
         if len(off) == 3 and set(EARLY) <= set(of.names):
             off[:2] = True
@@ -107,7 +107,7 @@ def test_a_correction_that_is_lost_ends_the_calibration(tmp_path: Path) -> None:
     search.run(z, "cheap")
     assert search.refer(z[:2], "both").correction is not None
 
-    def look(evidence: Evidence, _: Targets) -> Branches:
+    def look(evidence: Evidence, _: Targets, order: object = None) -> Branches:
         off = np.zeros(len(evidence.z), bool)
         off[: len(off) - 1] = len(off) == 2
         return Branches((), off, off)
@@ -183,3 +183,28 @@ def test_a_search_that_does_not_settle_leaves_runs_for_the_correction(tmp_path: 
         _descend(search, _start(search, None))
         assert search.left == (0 if reference is None else 4)
         assert any("before it settled" in note for note in search.notes)
+
+
+def test_of_runs_that_contradict_each_other_those_near_the_reference_s_best_stay(tmp_path: Path) -> None:
+    """Cheap runs fit best elsewhere: their own misfit would keep the runs there."""
+    search, _ = searched(tmp_path)
+    z = np.array([[0.5, 0.5, 0.5 + 0.02 * k] for k in range(6)])
+    search.run(z, "cheap")
+    search.refer(z[4:6], "both")
+    seen: list[np.ndarray | None] = []
+    look = branches.look
+
+    def kept(evidence: Evidence, held: Targets, order: np.ndarray | None = None) -> Branches:
+        seen.append(order)
+        return look(evidence, held, order)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(branches, "look", kept)
+        made = search.evidence()
+    best = made.z[made.best]
+    assert seen[0] == pytest.approx(np.abs(z - best).max(1)) and seen[1] is None
+    # two runs of six lie elsewhere: of each pair the one that is farther from the best goes
+    cheap = made.take(np.arange(6))
+    off = replace(cheap, residual=cheap.residual + 50.0 * np.array([1, 1, 1, 0, 0, 0])[:, None])
+    for order, strays in ((seen[0], {0, 1, 2}), (-np.asarray(seen[0]), {3, 4, 5})):
+        assert set(np.flatnonzero(look(off, targets(), order).strays)) == strays

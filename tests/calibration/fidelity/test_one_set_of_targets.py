@@ -22,8 +22,8 @@ def test_a_frame_that_falls_at_the_end_is_in_nothing_that_is_told(runs_before_th
     assert whole.left_out == ()
     look, last = branches.look, len(whole.x) - runs_before_the_end
 
-    def late(evidence: Evidence, targets: Targets) -> Branches:
-        seen = look(evidence, targets)
+    def late(evidence: Evidence, targets: Targets, order: object = None) -> Branches:
+        seen = look(evidence, targets, order)  # type: ignore[arg-type]
         several = len(evidence.z) >= last and set(EARLY) <= set(targets.names)
         return Branches((0.1,), seen.strays, seen.torn) if several else seen
 

@@ -57,6 +57,15 @@ def fit_correction(cheap: Evidence, dear: Evidence) -> Correction | None:
     return Correction(rho, fit(z, high - rho * low, high_slope - rho * low_slope, delta))
 
 
+def far_from_best(cheap: Evidence, dear: Evidence | None) -> FloatArray | None:
+    """(n,) how far the cheap runs are from the reference's best, in widths of the box: which of two that contradict each other
+    the answer needs. None where the reference tells nothing: by their own misfit, cheap runs fit somewhere else."""
+    if dear is None or not dear.told.any():
+        return None
+    best = int(np.argmin(np.where(dear.told, dear.misfit, np.inf)))
+    return np.asarray(np.abs(cheap.z - dear.z[best]).max(1))
+
+
 def sound(cheap: Evidence, dear: Evidence, off: tuple[BoolArray, BoolArray]) -> tuple[Evidence, Evidence, Evidence]:
     """Without the runs ``off`` of each, which lie on another branch: the cheap ones that a correction may be learnt from, those
     that it is for, and the reference's. A cheap run that is off stays in the second where the reference's own tells of it."""
