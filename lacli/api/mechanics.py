@@ -159,7 +159,7 @@ def tradeoff(
 
     Errors are in the features' units, costs in CPU seconds and MB. finer: a bundle of the same atrium with smaller cells,
     the reference then; tolerance_mm: the largest error of a displacement; record: keep the errors in the scene's bundle, so
-    that later results carry them.
+    that later results carry them (without a finer bundle those of linear cells alone: in the others the cells' size is not).
 
     targets: of a calibration, and what the numerics do to its posterior is told instead. The patient is the reference's
     simulation at the scene's parameters; names and errors of the targets count (in the units of the names), their means do

@@ -11,7 +11,7 @@ from lacli.base.errors import UsageError
 from lacli.base.processes.locks import working_on
 from lacli.calibration.calibration import Calibration, Monitor, Settings, calibrate, calibration_identity, given_runs, obstacle
 from lacli.contracts.identity import settle
-from lacli.contracts.tables.columns import error_of
+from lacli.contracts.tables.columns import derivative_of, error_of
 from lacli.contracts.tables.table import input_values, is_bookkeeping, read_frame
 from lacli.contracts.targets import Targets
 from lacli.inference.box import RANGES, Box, table_box
@@ -44,7 +44,8 @@ def calibrate_table(
 
 def _box_of(path: Path, frame: pd.DataFrame, targets: Targets) -> Box:
     others = [n for n in frame.columns if n not in targets.names and not is_bookkeeping(n)]
-    others = [n for n in others if error_of(n, list(frame.columns)) is None]
+    columns = list(map(str, frame.columns))
+    others = [n for n in others if error_of(n, columns) is None and derivative_of(n, columns) is None]
     names = [n for n in others if n in RANGES] or others
     x = input_values(frame[names], f"--from-table {path}")
     still = np.ptp(x, axis=0) == 0

@@ -25,7 +25,7 @@ class SceneSimulator:
     """Runs the scene at each row of inputs, side by side; stored runs are found again by content.
 
     Its discretisation errors are those measured for the scene itself: they stand for the box around it. warm: runs start from
-    the nearest that has ended; they are the same runs to the solver's tolerance.
+    the nearest that has ended; they are the same runs to the solver's tolerance. discretisation: whether runs tell those errors.
     """
 
     scene: Scene
@@ -33,6 +33,7 @@ class SceneSimulator:
     workers: int | None = None
     scheduler: str | None = None
     warm: bool = False
+    discretisation: bool = True
 
     def __call__(self, inputs: pd.DataFrame) -> Iterator[tuple[int, Outcome]]:
         from lacli.mechanics.execute import run_scenes
@@ -58,7 +59,7 @@ class SceneSimulator:
     def _errors(self) -> dict[str, float]:
         from lacli.mechanics.numerics.accuracy import known_errors
 
-        return known_errors(self.scene)
+        return known_errors(self.scene) if self.discretisation else {}
 
 
 def _solver() -> str:
@@ -80,18 +81,20 @@ def simulator(
     targets: Sequence[str] = (),
     sensitivities: bool = True,
     warm: bool = False,
+    discretisation: bool = True,
 ) -> SceneSimulator:
     """The simulator of a scene. Raises StorageError where nothing can be written to ``root``.
 
     targets: names of outputs that will be held against it; those at times of the cycle (``n_septum_mm@0.2``) make its frames.
     sensitivities: whether runs tell their derivatives (where the scene can: the compiled engine, prestrain). Neither fields nor
     the unloaded state are computed (a calibration makes hundreds of runs and reads their features). warm: whether runs start
-    from those that have ended.
+    from those that have ended. discretisation: whether they tell the errors that were measured for the scene (no, where what they
+    are held against has the same).
     """
     from lacli.base.files import check_folder
 
     check_folder(root, "--store")
-    return SceneSimulator(asked(scene, targets, sensitivities), root, workers, scheduler, warm)
+    return SceneSimulator(asked(scene, targets, sensitivities), root, workers, scheduler, warm, discretisation)
 
 
 def asked(scene: Scene, targets: Sequence[str], sensitivities: bool = True) -> Scene:

@@ -79,12 +79,14 @@ def feature_rates(case: Case, results: Results, folder: Path) -> pd.DataFrame | 
         found = endocardium.rates(results.states[name].x, rates)
         if name == "es":
             # the prestrain keeps the image, whatever the inputs; a wall that has settled from there does not
-            ed = read_rates(case, "ed", folder) if _given(results).get("ed") else None
-            rows["edv_ml"] = np.zeros(len(INPUTS)) if ed is None else endocardium.rates(results.states["ed"].x, ed)["volume_ml"]
+            settled = _given(results).get("ed")
+            ed = read_rates(case, "ed", folder) if settled else np.zeros_like(rates)
+            if settled is not False:
+                rows["edv_ml"] = endocardium.rates(results.states["ed"].x, ed)["volume_ml"]
             rows["esv_ml"] = found.pop("volume_ml")
             rows |= found
-            if case.scene.outputs.strain:
-                rows |= _extras(case, results, rates, np.zeros_like(rates) if ed is None else ed)
+            if settled is not False and case.scene.outputs.strain:
+                rows |= _extras(case, results, rates, ed)
         elif name != "ed":
             time = next(phase.time_to for phase in case.plan.stretches() if phase.file == name)
             rows |= {at_time(key, time): value for key, value in found.items()}

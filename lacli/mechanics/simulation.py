@@ -103,7 +103,12 @@ def _keep(run: OpenRun, case: Case, written: Deck, outcome: Outcome, start: star
         results.tidy(run.folder)
         run.finish("failed", kind=outcome.kind, message=outcome.message, **usage)
         return
-    features, products = collect(case, run.folder, cpu_s=outcome.cpu_s, peak_memory_mb=outcome.peak_memory_mb)
+    try:
+        features, products = collect(case, run.folder, cpu_s=outcome.cpu_s, peak_memory_mb=outcome.peak_memory_mb)
+    except SimulationError as error:
+        results.tidy(run.folder)
+        run.finish("failed", kind=error.kind, message=str(error).removeprefix(f"{run.folder}: "), **usage)
+        return
     if "sensitivities" in features:
         usage["sensitivities"] = features["sensitivities"]
     if equilibria.FOUND in features:

@@ -26,7 +26,7 @@ import numpy as np
 from lacli.base.documents import read_json
 from lacli.base.errors import InputError, StorageError
 from lacli.base.files import room, storing, write_json
-from lacli.base.processes.locks import lock
+from lacli.base.processes.locks import MARKER, lock
 from lacli.base.version import __version__
 from lacli.contracts.failures import of_the_machine
 from lacli.contracts.identity import content_hash, file_digest
@@ -242,7 +242,8 @@ def _make_way(final: Path) -> None:
 
 def _sweep(root: Path, held: str) -> None:
     """Remove what killed processes left: whoever holds a key's lock is the only writer of that key."""
-    left = {path.name.split("-")[1] for path in root.glob(".tmp-*")} | {path.name for path in (root / ".locks").iterdir()}
+    left = {path.name.split("-")[1] for path in root.glob(".tmp-*")}
+    left |= {path.name.removesuffix(MARKER) for path in (root / ".locks").iterdir()}
     for key in left - {held}:
         with lock(root / ".locks" / key, "", wait=False) as got:
             if got:

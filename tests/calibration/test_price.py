@@ -11,10 +11,12 @@ from shapes import hollow_cube
 import lacli
 import lacli.types
 from lacli.calibration.price import price
+from lacli.calibration.simulator import simulator
 from lacli.cli.inference.sought import time_of
 from lacli.contracts.bundle import save
 from lacli.contracts.identity import run_key
 from lacli.contracts.scene import Scene, build_scene, dump_scene
+from lacli.mechanics.numerics.accuracy import record
 from lacli.mechanics.numerics.cost import expected
 from lacli.mechanics.numerics.earlier import earlier
 from lacli.mechanics.store import open_run
@@ -65,3 +67,11 @@ def test_a_calibration_s_price_is_told_by_kind_of_run_and_nothing_is_run(scene: 
 @pytest.mark.parametrize(("seconds", "words"), [(0.4, "0 min 00 s"), (75.0, "1 min 15 s"), (7384.0, "2 h 03 min")])
 def test_a_time_is_in_words(seconds: float, words: str) -> None:
     assert time_of(seconds) == words
+
+
+def test_errors_that_are_not_asked_for_are_in_no_run(scene: Scene, tmp_path: Path) -> None:
+    """Where the truth has the same numerics, or the user says no, what `tradeoff` measured is no error of a run."""
+    record(scene, {"esv_ml": 0.5}, scene)
+    asked, not_asked = (simulator(scene, tmp_path / "runs", discretisation=told) for told in (True, False))
+    assert asked.determined_by(())["discretisation_error"] == {"esv_ml": 0.5}
+    assert not_asked.determined_by(())["discretisation_error"] == {}

@@ -10,8 +10,10 @@ import pytest
 from typer.testing import CliRunner
 
 from lacli.base.errors import InputError, LacliError, StorageError, TableError, UsageError
+from lacli.calibration.from_table import _box_of as table_inputs
 from lacli.cli.main import build
 from lacli.contracts.scene import dump_scene
+from lacli.contracts.targets import Targets
 from lacli.inference.runs import Outcome
 
 with warnings.catch_warnings():
@@ -49,6 +51,14 @@ def tables(tmp_path_factory):
         )
     )
     return folder
+
+
+def test_derivatives_in_a_table_are_no_inputs(tables, tmp_path):
+    """Of a table whose box is its own: its inputs are those that vary, neither errors nor derivatives of any output."""
+    x, y = pd.read_csv(tables / "x.csv"), pd.read_csv(tables / "y.csv")
+    frame = pd.concat([x, y[["v_ml"]]], axis=1).assign(**{"v_ml_error": 0.1, "dv_ml/da": -10 / x["a"] ** 2, "dv_ml/dc": x["a"]})
+    frame.to_csv(tmp_path / "t.csv", index=False)
+    assert table_inputs(tmp_path / "t.csv", frame, Targets(("v_ml",), np.array([62.0]), np.array([0.6]))).names == ("a", "b", "c")
 
 
 @pytest.fixture(scope="module")

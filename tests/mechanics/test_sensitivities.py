@@ -19,8 +19,8 @@ from lacli.contracts.scene import Scene, build_scene, with_parameters
 from lacli.contracts.sections import MMHG_KPA
 from lacli.freefem.program import FreeFem
 from lacli.mechanics import deck, inputs, plan, sensitivities
-from lacli.mechanics.results import Results
-from lacli.mechanics.sensitivities import VEIN_SPRING, load_sensitivities
+from lacli.mechanics.results import Results, State
+from lacli.mechanics.sensitivities import INPUTS, VEIN_SPRING, load_sensitivities
 from lacli.mechanics.simulation import RunResult, run_scene
 
 POINT = {
@@ -176,6 +176,23 @@ def test_an_unstable_state_has_none(folder: Path) -> None:
         "ed_unstable_modes": 7,
     }
     assert sensitivities.feature_rates(case, Results({}, numbers), folder) is None
+
+
+def test_an_end_diastole_that_settled_without_derivatives_has_none_and_not_zero(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As told where the deck gave those of end-systole alone; those that need end-diastole's are left out with it."""
+    case = plan.prepare(scene(folder, "outputs.strain=true"))
+    state = State(case.bundle.points, case.bundle.points, 1.0, 1.0)
+    monkeypatch.setattr(
+        sensitivities, "read_rates", lambda case, name, folder: np.ones((len(INPUTS), len(case.bundle.points), 3))
+    )
+    for ed, told in (({}, True), ({"sensitivities_ed": {"given": 1.0}}, True), ({"sensitivities_ed": {"given": 0.0}}, False)):
+        numbers = {**ed, "sensitivities_es": {"given": 1.0}}
+        table = sensitivities.feature_rates(case, Results({"ed": state, "es": state}, numbers), tmp_path)
+        assert table is not None and "esv_ml" in table.index
+        assert ("edv_ml" in table.index) == told
+        assert any(name.startswith("thickness_change") for name in table.index) == told
 
 
 @pytest.mark.parametrize("order", [1, 2])

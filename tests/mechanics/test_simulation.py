@@ -289,3 +289,24 @@ def test_a_stored_run_is_run_again_and_stays(folder: Path, tmp_path: Path) -> No
         simulation.rerun(whole.folder)
     with pytest.raises(InputError, match="no run"):
         simulation.rerun(tmp_path)
+
+
+def test_results_that_cannot_be_read_are_a_failure_that_is_kept(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same scene would end so again: whoever runs many goes on with the others."""
+    run = freefem.run
+
+    def cut(*arguments, **options):
+        outcome = run(*arguments, **options)
+        file = arguments[2] / "es.txt"
+        file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+        return outcome
+
+    monkeypatch.setattr(freefem, "run", cut)
+    result = simulation.run_scene(scene(folder, "loads.edp_mmhg=2", "loads.esp_mmhg=5"), tmp_path)
+    assert (result.status, result.kind) == ("failed", "bad_output")
+    assert result.message.startswith("FreeFEM's results cannot be read") and (result.folder / "solver.log").is_file()
+    monkeypatch.setattr(freefem, "run", run)
+    again = simulation.run_scene(scene(folder, "loads.edp_mmhg=2", "loads.esp_mmhg=5"), tmp_path)
+    assert again.kind == "bad_output"

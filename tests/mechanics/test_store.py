@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import json
 import os
 import signal
@@ -358,3 +360,20 @@ def test_a_run_of_another_freefem_is_made_again_with_a_word(
     with open_run(tmp_path, "k", solver="4.16") as run:
         assert run.stored is None
     assert "made with FreeFEM 4.15, this is 4.16; the run is made again" in caplog.text
+
+
+def test_a_running_neighbour_is_not_swept_where_the_file_system_has_no_locks(
+    scene_of: SceneOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def none(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", none)
+    one, other = scene_of(), scene_of("loads.edp_mmhg=3")
+    with open_run(tmp_path, run_key(one)) as running:
+        marker = tmp_path / ".locks" / f"{run_key(one)}.marker"
+        assert marker.is_file() and running.folder.is_dir()
+        for _ in range(2):
+            with open_run(tmp_path, run_key(other)):
+                pass
+            assert marker.is_file() and running.folder.is_dir()

@@ -56,7 +56,7 @@ def calibrate_by_waves(
             # what was measured is in the table of runs already, and reaches the likelihood from there
             targets, stated = with_discretisation(targets, scene, but=MEASURED)
             said = said_of(targets.names, stated)
-        run = _simulator(scene, folder, work, targets.names, work.sensitivities)
+        run = _simulator(scene, folder, work, targets.names, work.sensitivities, work.discretisation)
         of_runs = runs_identity(run, box.names, targets.names)
         identity = calibration_identity(box, targets, settings, of_runs)
         folder = _settle(folder, lambda place: obstacle(place, identity), of_runs, work.fresh)
@@ -91,7 +91,7 @@ def recover(scene: Scene, truth: Mapping[str, float], folder: Path, settings: Se
     settings = settings or Settings()
     _check(settings, folder)
     box = work.box or published_box()
-    run = _simulator(scene, folder, work, (), False)
+    run = _simulator(scene, folder, work, (), False, discretisation=False)  # the truth has the same numerics
     x = _point(truth, box)
     of_runs = runs_identity(run, box.names, logged(OUTPUTS))
     identity = truth_identity(run, box, OUTPUTS, x, settings)
@@ -114,11 +114,16 @@ def _check(settings: Settings, folder: Path) -> None:
     check_folder(folder)
 
 
-def _simulator(scene: Scene, folder: Path, work: Work, targets: Sequence[str], sensitivities: bool) -> SceneSimulator:
+def _simulator(
+    scene: Scene, folder: Path, work: Work, targets: Sequence[str], sensitivities: bool, discretisation: bool
+) -> SceneSimulator:
     from lacli.calibration.simulator import simulator
 
     store = work.store or folder / WAVES
-    return simulator(scene, store, work.workers, work.scheduler, targets=targets, sensitivities=sensitivities, warm=work.warm)
+    return simulator(
+        scene, store, work.workers, work.scheduler, targets=targets, sensitivities=sensitivities, warm=work.warm,
+        discretisation=discretisation,
+    )  # fmt: skip
 
 
 def _settle(folder: Path, in_the_way: Callable[[Path], str], of_runs: Identity, fresh: bool) -> Path:

@@ -19,6 +19,7 @@ from lacli.base.processes.process import is_wanted
 
 _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL)
 _POLL_S = 0.1
+MARKER = ".marker"  # after the name of the lock that it stands for
 
 
 @contextlib.contextmanager
@@ -81,7 +82,7 @@ def _acquire(path: Path, what: str, wait: bool) -> Any:
                 raise
             reason = error.strerror
         path.unlink(missing_ok=True)
-        marker = path.with_name(path.name + ".marker")
+        marker = path.with_name(path.name + MARKER)
         note(
             f"{path.parent}: the file system has no locks ({reason}); marker files take their place. If a process on "
             "another host is killed there, remove its marker by hand."

@@ -99,6 +99,12 @@ def command(
         else f"No choice on this mesh is within {tolerance_mm:g} mm: use finer cells.",
         highlight=False,
     )
+    if best.mesh == "own":
+        out.print(
+            "The reference has the same mesh: what the size of its cells changes is in no error of this table, and nothing is "
+            "kept of quadratic cells, for which the model's estimate goes on standing. --finer BUNDLE measures it.",
+            highlight=False,
+        )
 
 
 def _calibration(

@@ -58,7 +58,10 @@ class Wave:
     def signed(self, x: FloatArray) -> FloatArray:
         """(E f - mu) / sqrt(Var f + sigma^2) (m, p + q) of each output and each whitened component at x (m, d); Var f with the
         runs' own error."""
-        mean, variance = self.emulators.predict_truth(x)
+        return self.signed_of(*self.emulators.predict_truth(x))
+
+    def signed_of(self, mean: FloatArray, variance: FloatArray) -> FloatArray:
+        """The same from predicted mean and variance (m, p)."""
         alone = (mean - self.targets.mean) / np.sqrt(variance + self.targets.sd**2)
         return np.hstack([alone, self._whitened(mean, variance)])
 

@@ -137,7 +137,7 @@ class Density:
         for wave in self.region.waves:
             if wave.emulators is self.emulators and wave.targets is self.targets:
                 # the last wave's emulators are the likelihood's: their prediction serves both
-                keep &= (np.abs(mean - self.targets.mean) < wave.threshold * np.sqrt(variance + self.targets.sd**2)).all(1)
+                keep &= (np.abs(wave.signed_of(mean, variance)) < wave.threshold).all(1)
             elif keep.any():
                 open_ = np.flatnonzero(keep)
                 keep[open_] = wave.below(x[rows[open_]], 1.0)

@@ -130,9 +130,10 @@ def sample_posterior(
     if chain.steps:
         state = emcee.State(chain.samples[-1].reshape(count, -1), chain.log_prob[-1].ravel(), random_state=chain.random_state)
         _check_continuation(density, settings, chain)
-        checked = _check_at(chain.steps) <= chain.steps
+        checked = _check_at(chain.steps) <= chain.steps or chain.steps >= settings.max_steps
         if checked and _satisfied(chain, settings):
             return replace(chain, converged=True)
+        chain = replace(chain, converged=False)  # it may have been, by what was asked for before
     else:
         last = chain.tuning_points[-count:]
         state = emcee.State(last, density(last), random_state=chain.random_state)

@@ -18,8 +18,10 @@ from lacli.contracts.scene import Scene
 
 FILE = "accuracy.json"
 _SEAL = "digest"
-# keys of a scene that change what is written, how long it may take or by which engine, not the numbers
+# keys of a scene that change what is written, how long it may take or by which engine, not the numbers; but for one that chooses
+# between two states
 _SAME_NUMBERS = ("outputs", "numerics.engine", "numerics.timeout_s")
+_CHOOSES = "outputs.equilibria"
 
 
 def numerics_name(scene: Scene) -> str:
@@ -31,6 +33,7 @@ def measured(scene: Scene) -> Identity:
     """What the errors of a scene depend on."""
     parts = flatten(determinants(scene))
     kept = {key: value for key, value in parts.items() if key not in _SAME_NUMBERS and key.split(".")[0] not in _SAME_NUMBERS}
+    kept |= {_CHOOSES: True} if parts.get(_CHOOSES) else {}
     return identify("accuracy", **kept)
 
 

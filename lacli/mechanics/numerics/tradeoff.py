@@ -81,7 +81,16 @@ def recommend(differences: Mapping[str, dict[str, float]], cpu_s: Mapping[str, f
 
 
 def keep(variants: Sequence[Variant], against: Variant) -> None:
-    """Write the errors of each choice on the scene's own mesh into its bundle, so that later results carry them."""
+    """Write the errors of each choice on the scene's own mesh into its bundle, so that later results carry them.
+
+    Not of a choice that the reference shares mesh and order with: their difference is the quadrature's, and says nothing of the
+    cells; the model's estimate goes on standing for them.
+    """
     for variant in variants:
-        if variant.mesh == "own" and variant.status == "done" and variant is not against:
+        if variant.mesh == "own" and variant.status == "done" and measures(variant, against):
             record(variant.scene, errors(variant, against), against.scene)
+
+
+def measures(variant: Variant, against: Variant) -> bool:
+    """Whether the reference tells the discretisation error of a choice: by finer cells or by a higher order."""
+    return variant.mesh != against.mesh or variant.scene.numerics.order < against.scene.numerics.order

@@ -142,6 +142,34 @@ def test_a_longer_run_continues_a_shorter_one(tmp_path):
         mcmc.load_chain(tmp_path / "c.npz")
 
 
+def test_a_chain_that_met_less_goes_on_when_more_is_asked(tmp_path):
+    few, many = mcmc.Settings(ess=300, walkers=30, seed=5), mcmc.Settings(ess=12000, walkers=30, seed=5)
+    part = mcmc.sample_posterior(banana(), few)
+    assert part.converged and (part.ess < 12000).any()
+    mcmc.save_chain(tmp_path / "c.npz", part)
+    whole = mcmc.sample_posterior(banana(), many, previous=mcmc.load_chain(tmp_path / "c.npz"))
+    assert whole.converged and (whole.ess >= 12000).all() and whole.steps > part.steps
+    assert np.array_equal(whole.samples, mcmc.sample_posterior(banana(), many).samples)
+    # and where the cap is reached before, it is said
+    short = mcmc.sample_posterior(banana(), replace(many, max_steps=part.steps), previous=part)
+    assert not short.converged and short.steps == part.steps
+    again = mcmc.sample_posterior(banana(), replace(few, max_steps=part.steps), previous=part)
+    assert again.converged and again.steps == part.steps
+
+
+def test_the_region_sampled_is_the_one_matched():
+    """Correlated errors: two targets, each one sd off the other way, are ruled out by their difference alone."""
+    rho, sd = 0.98, np.array([0.2, 0.4])
+    covariance = np.array([[1.0, rho], [rho, 1.0]]) * np.outer(sd, sd)
+    held = Targets(("y0", "y1"), np.zeros(2), sd, covariance)
+    wave = Wave(ExactEmulators(2, 2, lambda x: x), held, 3.0)
+    density = Density(wave.emulators, held, Region(box(2, 3.0), (wave,)))
+    # (1, -1) / sqrt 2 of the whitened pair: variance 1 - rho, so sqrt 2 / sqrt .02 = 10 standard deviations
+    x = np.array([[0.2, -0.4], [0.2, 0.4]])
+    assert density.region.contains(x).tolist() == [False, True]
+    assert np.isfinite(density(x)).tolist() == [False, True]
+
+
 def test_a_chain_killed_at_any_save_ends_the_same(tmp_path):
     settings = mcmc.Settings(ess=2500, walkers=30, seed=5)
     whole = mcmc.sample_posterior(banana(), settings)

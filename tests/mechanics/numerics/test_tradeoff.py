@@ -43,6 +43,31 @@ def test_errors_are_kept_in_the_bundle_and_travel_with_the_result(tmp_path: Path
     assert accuracy.known_errors(scene(tmp_path, 2)) == {}, "another mesh has other errors"
 
 
+def test_a_difference_of_quadrature_alone_is_no_discretisation_error(tmp_path: Path) -> None:
+    """Without finer cells, or where those failed, the reference is quadratic on the same mesh: it tells of linear ones."""
+    bundle(tmp_path)
+    careful = build_scene({"anatomy": {"bundle": "b"}}, ["numerics.quadrature=14"], folder=tmp_path, where="test")
+    best = Variant("own", "p2_q14", careful, "done", None, {"esv_ml": 103.0, "d_roof_mm": 3.0}, 30.0, 100.0)
+    variants = [variant(tmp_path, "own", 1, 3.5), variant(tmp_path, "own", 2, 3.001), best]
+    failed = variant(tmp_path, "finer", 2, 0.0, "failed")
+    for some in (variants, [*variants, failed]):
+        assert reference(some) is best
+        keep(some, reference(some))
+        assert accuracy.known_errors(scene(tmp_path, 1)) == pytest.approx({"esv_ml": 0.5, "d_roof_mm": 0.5})
+        assert accuracy.known_errors(scene(tmp_path, 2)) == accuracy.known_errors(careful) == {}
+
+
+def test_errors_of_one_state_do_not_stand_for_another(tmp_path: Path) -> None:
+    """A run that seeks a second way to end-systole may take the other of two states."""
+    bundle(tmp_path)
+    seeking = build_scene({"anatomy": {"bundle": "b"}}, ["outputs.equilibria=true"], folder=tmp_path, where="test")
+    accuracy.record(scene(tmp_path, 2), {"d_roof_mm": 0.1}, scene(tmp_path, 2))
+    assert accuracy.known_errors(seeking) == {}
+    accuracy.record(seeking, {"d_roof_mm": 0.4}, seeking)
+    assert accuracy.known_errors(seeking) == {"d_roof_mm": 0.4}
+    assert accuracy.known_errors(scene(tmp_path, 2)) == {"d_roof_mm": 0.1}
+
+
 def test_errors_that_do_not_say_what_was_measured_are_not_used(tmp_path: Path) -> None:
     (bundle(tmp_path) / accuracy.FILE).write_text('{"p2_q4": {"d_roof_mm": 0.1}}')
     assert accuracy.known_errors(scene(tmp_path, 2)) == {}
