@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from lacli.mechanics.simulation import RunResult
 
 
+PRESSURES = ("edp_mmhg", "esp_mmhg")
+
+
 @dataclass(frozen=True)
 class SceneSimulator:
     """Runs the scene at each row of inputs, side by side; stored runs are found again by content.
@@ -48,10 +51,17 @@ class SceneSimulator:
     def determined_by(self, inputs: Sequence[str]) -> Mapping[str, Any]:
         """The scene but for what the inputs set, the bundle's content, FreeFEM's scripts and version, the errors of a run.
 
-        The engine does not count: both give the same numbers (``benchmarks/engines.py``).
+        The engine does not count: both give the same numbers (``benchmarks/engines.py``). Raises UsageError for an input that
+        counts nothing in this scene.
         """
+        from lacli.base.errors import UsageError
         from lacli.contracts.identity import determinants, flatten
 
+        if self.scene.loads.transient_mmhg is not None and (idle := [name for name in PRESSURES if name in inputs]):
+            raise UsageError(
+                f"{', '.join(idle)} can be no input: loads.transient_mmhg is the pressure at all times. Leave it out of the box, "
+                "or loads.transient_mmhg out of the scene."
+            )
         given = [QUANTITIES[name].key for name in inputs if name in QUANTITIES]
         kept = {key: value for key, value in flatten(determinants(self.scene)).items() if key not in given}
         return {**kept, "freefem": _solver(), "discretisation_error": self._errors()}

@@ -160,7 +160,7 @@ _TABLE: tuple[Quantity, ...] = (
     ),
     Quantity(
         "es_time", "motion.es_time", r"t_\mathrm{ES}", "share",
-        "time of end-systole as a share of the cycle", 0.4,
+        "time of end-systole as a share of the cycle (annulus = bundle: its own counts; axial: the nearest frame)", 0.4,
         possible=(1e-3, 0.999), plausible=(0.15, 0.75),
     ),
     Quantity(

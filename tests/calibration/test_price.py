@@ -10,6 +10,7 @@ from shapes import hollow_cube
 
 import lacli
 import lacli.types
+from lacli.base.errors import UsageError
 from lacli.calibration.price import price
 from lacli.calibration.simulator import simulator
 from lacli.cli.inference.sought import time_of
@@ -75,3 +76,13 @@ def test_errors_that_are_not_asked_for_are_in_no_run(scene: Scene, tmp_path: Pat
     asked, not_asked = (simulator(scene, tmp_path / "runs", discretisation=told) for told in (True, False))
     assert asked.determined_by(())["discretisation_error"] == {"esv_ml": 0.5}
     assert not_asked.determined_by(())["discretisation_error"] == {}
+
+
+def test_a_scene_with_its_own_transient_has_no_pressure_as_input(scene: Scene, tmp_path: Path) -> None:
+    """It would count nothing, and its posterior would be its prior."""
+    document = scene.model_dump(mode="json", exclude_none=True)
+    transient = ["loads.transient_mmhg=[[0, 8], [0.4, 30], [1, 8]]"]
+    own = simulator(build_scene(document, transient, folder=tmp_path, where="test"), tmp_path / "runs")
+    assert "loads.esp_mmhg" in own.determined_by(("alpha_roof",))
+    with pytest.raises(UsageError, match=r"esp_mmhg can be no input: loads\.transient_mmhg is the pressure at all times"):
+        own.determined_by(("alpha_roof", "esp_mmhg"))

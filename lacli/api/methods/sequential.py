@@ -178,6 +178,20 @@ def lacking(scene: Scene) -> str:
         return (
             'the sequential method needs derivatives, which only the compiled engine with numerics.unloading = "prestrain" has.'
         )
+    if scene.numerics.engine == "auto" and (obstacle := _no_compiler()):
+        return f"the sequential method needs derivatives, which only the compiled engine has: {obstacle}."
     if scene.numerics.rest_sweeps:
         return "the sequential method needs derivatives, which runs have only with numerics.rest_sweeps = 0."
     return ""
+
+
+def _no_compiler() -> str:
+    """What keeps the compiled engine from being built; '' where nothing does, or FreeFEM is missing, which is told later."""
+    from lacli.base.errors import SolverMissingError
+    from lacli.freefem.plugins import plugin_obstacle
+    from lacli.freefem.program import find
+
+    try:
+        return plugin_obstacle(find()) or ""
+    except SolverMissingError:
+        return ""

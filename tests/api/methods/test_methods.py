@@ -14,9 +14,11 @@ import lacli
 import lacli.types
 from lacli.api.methods import numerics, published, sequential
 from lacli.api.methods.calibrated import Calibrated
+from lacli.base.errors import SolverMissingError
 from lacli.calibration.sequential.result import Sequential
 from lacli.contracts.bundle import save
 from lacli.contracts.scene import build_scene
+from lacli.freefem.program import FreeFem
 from lacli.inference.runs import Outcome
 
 TRUTH = np.array([1.4, 1.5, 8.9])
@@ -65,6 +67,19 @@ def test_a_scene_without_derivatives_says_so(scene: lacli.Scene, change: dict[st
     changed = scene.model_copy(update={"numerics": scene.numerics.model_copy(update=change)})
     said = sequential.lacking(changed)
     assert words in said and bool(said) == bool(change)
+
+
+def test_without_a_compiler_there_are_no_derivatives(scene: lacli.Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The default engine would be FreeFEM's own language, without a run having told it."""
+    found = FreeFem(Path("/usr/bin/FreeFem++"), "4.9", Path("/usr/lib"), None, None, None)
+    monkeypatch.setattr("lacli.freefem.program.find", lambda: found)
+    assert "only the compiled engine has: there is no C++ compiler: sudo apt-get install -y g++" in sequential.lacking(scene)
+
+    def missing() -> FreeFem:
+        raise SolverMissingError("no FreeFEM")
+
+    monkeypatch.setattr("lacli.freefem.program.find", missing)
+    assert sequential.lacking(scene) == ""  # that is another message, of whoever runs something
 
 
 @pytest.mark.parametrize(
