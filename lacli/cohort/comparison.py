@@ -30,7 +30,7 @@ from lacli.contracts.priors import log_prior
 from lacli.contracts.targets import Targets
 from lacli.inference.box import Box, make_box
 from lacli.inference.emulation.emulator_set import AnyEmulators
-from lacli.inference.sampling.coverage import check_coverage
+from lacli.inference.sampling.coverage import TOO_MUCH, coverage
 from lacli.inference.sampling.likelihood import ByFeature, Likelihood
 
 REGIONAL, GLOBAL, POOLED = "regional", "global", "pooled"
@@ -173,7 +173,7 @@ def _fit(model: Model, targets: Targets, particles: int, seed: int, tick: Callab
     rmse = np.sqrt(((mean - targets.mean)[:, in_mm] ** 2).mean(axis=1)) if in_mm.any() else np.full(len(mean), np.nan)
     best = int(np.argmax(told(points)))
     said = []
-    if words := check_coverage(model.box, model.emulators.training_inputs(), points).words():
+    if words := _extrapolated(model, points):
         said.append(f"{model.name}: {words}")
     if worst > _WORST_K:
         said.append(
@@ -184,6 +184,16 @@ def _fit(model: Model, targets: Targets, particles: int, seed: int, tick: Callab
         float(rmse[best]), float(rmse.mean()), float(rmse.std(ddof=1)),
     )  # fmt: skip
     return fit, said
+
+
+def _extrapolated(model: Model, points: FloatArray) -> str:
+    """What of a model's posterior draws lies where no run has been, in words; '' where (nearly) nothing does.
+
+    Even where all of them do it is a word: an end would take the other models' evidence with it.
+    """
+    found = coverage(model.box, model.emulators.training_inputs(), points)
+    words = found.words("its posterior")
+    return f"its evidence is by extrapolation, do not rely on it: {words}" if found.share > TOO_MUCH else words
 
 
 def _likelihood(emulators: AnyEmulators | Features, targets: Targets) -> Likelihood:

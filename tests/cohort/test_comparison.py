@@ -148,6 +148,17 @@ def test_no_contrast_is_claimed_where_there_is_none(model: Model) -> None:
     assert found.fits[1].p_loo < found.fits[0].p_loo + 0.5
 
 
+def test_a_model_that_only_extrapolates_is_told_and_does_not_end_the_others(model: Model) -> None:
+    """The box reaches to 8, runs to 4: targets of stiffness 6 leave no draw of the regional model where a run has been."""
+    wide = dataclasses.replace(model, box=make_box(NAMES, [0.5] * 5, [8.0] * 5))
+    one = Model(GLOBAL, model.emulators, model.box, tied_regions(NAMES))
+    found = compare([wide, one], _targets(np.full(5, 6.0), 0.2), particles=100)
+    assert [fit.name for fit in found.fits] == [REGIONAL, GLOBAL]
+    said = [words for words in found.warnings if "extrapolation" in words]
+    assert len(said) == 1 and said[0].startswith("regional: its evidence is by extrapolation")
+    assert "100.0% of its posterior is where no run has been" in said[0] and "alpha_roof: runs" in said[0]
+
+
 def test_some_inputs_are_tied(model: Model) -> None:
     box, lift = reduced(Model("front", model.emulators, model.box, (("alpha_anterior", "alpha_roof"),)))
     assert box.names == ("alpha_anterior", "alpha_posterior", "alpha_septum", "alpha_lateral")

@@ -28,13 +28,13 @@ class Coverage:
     share: float
     beyond: tuple[tuple[str, float, float, float, float], ...]
 
-    def words(self) -> str:
-        """What a user must know; '' where (nearly) all is covered."""
+    def words(self, whole: str = "the box") -> str:
+        """What a user must know; '' where (nearly) all is covered. whole: what the points were, in words."""
         if self.share <= WORTH_SAYING:
             return ""
         ranges = "; ".join(f"{name}: runs {a:.4g} to {b:.4g}, box {c:.4g} to {d:.4g}" for name, a, b, c, d in self.beyond)
         return (
-            f"{self.share:.1%} of the box is where no run has been: the emulators extrapolate there"
+            f"{self.share:.1%} of {whole} is where no run has been: the emulators extrapolate there"
             + (f" ({ranges})" if ranges else " (a part within the runs' range)") + "."
         )  # fmt: skip
 
