@@ -18,6 +18,7 @@ from lacli.inference.emulation.emulator_set import load_emulators
 from lacli.mechanics.numerics.error_correlation import correlation
 
 RESULT, IDENTITY = "result.json", "calibration.json"
+_ROUNDING = 1e-8  # of a variance: what is left of it beside others that are as large is nothing
 
 
 def read_result(folder: Path) -> Mapping[str, Any]:
@@ -38,19 +39,35 @@ def held_against(folder: Path, targets: Targets) -> Targets:
     result = read_result(folder)
     features = {str(row["feature"]) for row in result["fit"]}
     targets = targets.select([name for name in targets.names if name in features])
-    times = float((result.get("error_factor") or {}).get("value", 1.0))  # of all that was added to the measurement's errors
-    told = dict(zip(targets.names, np.zeros(len(targets.names)) if targets.added is None else targets.added, strict=True))
-    errors = {
-        name: float(np.sqrt(max((row["sd"] ** 2 - _own_sd(row) ** 2) / times**2 - told[name] ** 2, 0.0)))
-        for row in result["fit"]
-        if (name := str(row["feature"])) in told
-    }
+    errors = discretisation(result, targets)
     if not any(errors.values()):
-        return targets.with_errors_times(times)
+        return targets.with_errors_times(_factor(result))
     order = of_own_runs(folder / IDENTITY, "numerics.order")
     if order not in (1, 2):
         raise InputError(f"{folder / IDENTITY}: tells no order of the cells, by which its discretisation errors go together.")
-    return targets.widened(errors, correlation(targets.names, targets.mean, order)).with_errors_times(times)
+    return targets.widened(errors, correlation(targets.names, targets.mean, order)).with_errors_times(_factor(result))
+
+
+def discretisation(result: Mapping[str, Any], targets: Targets) -> dict[str, float]:
+    """By feature, the standard deviation of the discretisation errors that the calibration added to these targets' own.
+
+    The result's sd holds discrepancies that the targets state as well, and the factor that was found on all that was added; both
+    are taken out.
+    """
+    added = np.zeros(len(targets.names)) if targets.added is None else targets.added
+    told = dict(zip(targets.names, map(float, added), strict=True))
+    found = {}
+    for row in result["fit"]:
+        if (name := str(row["feature"])) in told:
+            whole, own = ((sd / _factor(result)) ** 2 for sd in (float(row["sd"]), _own_sd(row)))
+            rest = whole - own - told[name] ** 2
+            found[name] = float(np.sqrt(rest)) if rest > _ROUNDING * whole else 0.0
+    return found
+
+
+def _factor(result: Mapping[str, Any]) -> float:
+    """What all that was added to the measurement's errors was multiplied by."""
+    return float((result.get("error_factor") or {}).get("value", 1.0))
 
 
 def box_of(folder: Path) -> Box:

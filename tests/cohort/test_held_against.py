@@ -46,3 +46,20 @@ def test_targets_that_were_left_out_have_no_part_in_it(tmp_path: Path) -> None:
     assert found.sd == pytest.approx([0.5, 0.5])
     together = correlation(found.names, found.mean, 1)[0, 1]
     assert found.covariance is not None and found.covariance[0, 1] == pytest.approx(0.05 + 0.12 * together)
+
+
+def test_what_rounding_leaves_is_no_discretisation_error(tmp_path: Path) -> None:
+    """Of runs done elsewhere neither errors nor cells are known: sd is the measurement's and the stated discrepancy's alone."""
+    names = tuple(f"d_{region}_mm" for region in ("roof", "septum", "lateral"))
+    own, stated = np.array([0.3, 0.7, 0.1]), {names[0]: 0.1, names[1]: 0.3, names[2]: 0.1}
+    given = Targets(names, np.ones(3), own).widened(stated)
+    left = given.sd**2 - own**2 - np.array(list(stated.values())) ** 2
+    assert 0.0 < left.max() < 1e-15, "what is tried here"
+    fit = [
+        {"feature": n, "target": 1.0, "sd": s, "own_sd": o}
+        for n, s, o in zip(names, given.sd.tolist(), own.tolist(), strict=True)
+    ]
+    (tmp_path / "result.json").write_text(json.dumps({"method": "sequential", "fit": fit}))
+    (tmp_path / "calibration.json").write_text(json.dumps({"content": {}}))
+    found = held_against(tmp_path, given)
+    assert np.array_equal(found.sd, given.sd)
