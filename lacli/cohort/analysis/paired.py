@@ -57,9 +57,15 @@ def paired_tests(observed: Observations, name: str) -> list[PairedTest]:
         rows.append((observed.regions[i], observed.regions[j], float(d.mean()), sd, t, len(d) - 1, p, shapiro, wilcoxon))
     raw = np.array([row[6] for row in rows])
     return [
-        PairedTest(*row[:7], bonferroni=min(1.0, row[6] * len(rows)), holm=float(h), shapiro=row[7], wilcoxon=row[8])
-        for row, h in zip(rows, holm(raw), strict=True)
+        PairedTest(*row[:7], bonferroni=float(b), holm=float(h), shapiro=row[7], wilcoxon=row[8])
+        for row, b, h in zip(rows, bonferroni(raw), holm(raw), strict=True)
     ]
+
+
+def bonferroni(p: FloatArray) -> FloatArray:
+    """Bonferroni's p; a test that is undefined (NaN) counts among the tests and stays undefined."""
+    corrected: FloatArray = np.minimum(1.0, p * len(p))
+    return corrected
 
 
 def holm(p: FloatArray) -> FloatArray:

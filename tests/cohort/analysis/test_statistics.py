@@ -61,6 +61,7 @@ def test_a_difference_without_spread_is_no_test() -> None:
     y[:, 1] = y[:, 0] + 1
     found = statistics(observed(d_mm=y), "d_mm", [])
     assert math.isnan(found.pairs[0].p)
+    assert math.isnan(found.pairs[0].bonferroni) and math.isnan(found.pairs[0].holm), "and no p of 1"
     assert journal.p_words(found.pairs[0].p) == "-"
     assert any("anterior - posterior" in words for words in found.warnings)
 
