@@ -16,8 +16,8 @@ from lacli.contracts.labels import EPI, REGIONS, RINGS, is_body
 from lacli.contracts.laws import LAWS
 from lacli.contracts.motion import Motion
 from lacli.contracts.scene import Scene
-from lacli.contracts.sections import Outputs
-from lacli.mechanics.pressure import Pressure
+from lacli.contracts.sections import MMHG_KPA, Outputs
+from lacli.mechanics.pressure import Pressure, pressure_of
 from lacli.motion.annulus import asked_motion
 
 _PARTS = 4  # of the second way to end-systole: that many find what two, three, eight or a way back do not (docs/methods.md)
@@ -58,11 +58,11 @@ def make_plan(scene: Scene, bundle: Bundle, motion: Motion | None) -> Plan:
     backward = scene.loads.edp_mmhg > 0 and scene.numerics.unloading == "backward"
     strained = scene.loads.edp_mmhg > 0 and not backward
     rest_sweeps = scene.numerics.rest_sweeps if strained and (veins or pericardium) else 0
-    title = [f"pressure {scene.loads.edp_mmhg:g} to {scene.loads.esp_mmhg:g} mmHg", LAWS[scene.materials.law].title]
+    pressure = pressure_of(scene, motion)
+    title = [f"pressure {scene.loads.edp_mmhg:g} to {pressure.at_es_kpa / MMHG_KPA:g} mmHg", LAWS[scene.materials.law].title]
     title += ["annulus moves"] if moving else ["ring held"]
     title += ["vein springs"] if veins else []
     title += ["pericardium"] if pericardium else []
-    pressure = Pressure(scene.loads, motion.es_time if motion is not None else scene.motion.es_time)
     return Plan(
         title=", ".join(title),
         unloading=scene.loads.edp_mmhg > 0,

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lacli.contracts.motion import Motion
+from lacli.contracts.scene import Scene
 from lacli.contracts.sections import MMHG_KPA, Loads
 
 
@@ -15,6 +17,11 @@ class Pressure:
 
     loads: Loads
     es: float
+
+    @property
+    def at_es_kpa(self) -> float:
+        """At end-systole."""
+        return self.kpa(self.es)
 
     def shares(self, time: float) -> tuple[float, float]:
         """Derivatives of ``kpa`` along EDP and ESP; of a scene's own transient, EDP is the first value alone."""
@@ -35,3 +42,8 @@ class Pressure:
             return float(np.interp(time, times, values)) * MMHG_KPA
         by_edp, by_esp = self.shares(time)
         return by_edp * self.loads.edp_kpa + by_esp * self.loads.esp_kpa
+
+
+def pressure_of(scene: Scene, motion: Motion | None) -> Pressure:
+    """A scene's pressure; end-systole is the motion's where that is known, else the scene's."""
+    return Pressure(scene.loads, motion.es_time if motion is not None else scene.motion.es_time)

@@ -17,6 +17,7 @@ from lacli.base.errors import InputError, StorageError, UsageError
 from lacli.cli import main
 from lacli.cohort.studies import laplace, thickness
 from lacli.contracts.labels import BODY_REGIONS, ENDO, EPI, REGIONS
+from lacli.mechanics.plan import make_plan
 from lacli.verification import meshes
 from lacli.verification.equilibria import SPHERE_C, SPHERE_RADII, sphere_pressure
 from lacli.verification.runs import NEO_HOOKEAN, material
@@ -75,6 +76,27 @@ def test_regions_are_compared() -> None:
     assert all(row.ratio == pytest.approx(0.5) and row.fails for row in found.regions)
     with pytest.raises(InputError, match="2 regions"):
         laplace.compared(stress, dict(list(law.items())[:2]), 2.0)
+
+
+def test_the_law_has_the_pressure_that_the_run_had(tmp_path: Path) -> None:
+    import lacli
+    from lacli.contracts.bundle import load
+    from lacli.contracts.sections import MMHG_KPA
+    from lacli.mechanics.numerics.cost import laplace as measure
+    from lacli.types import load_scene
+
+    lacli.synthesize(tmp_path / "atrium", cell_size_mm=12.0, order=1)
+    (tmp_path / "scene.toml").write_text('[anatomy]\nbundle = "atrium"\n[motion]\nannulus = "none"\nes_time = 0.4\n')
+    scene = load_scene(tmp_path / "scene.toml", ["loads.edp_mmhg=8", "loads.esp_mmhg=20"])
+    bundle = load(Path(scene.anatomy.bundle))
+    assert laplace.pressure_at_es(scene, bundle) == pytest.approx(20.0 * MMHG_KPA)
+    # 8 to 14 mmHg over half of the cycle: at .4 of it 8 + 6 * .8
+    own = load_scene(tmp_path / "scene.toml", ["loads.edp_mmhg=8", "loads.transient_mmhg=[[0.0, 8.0], [0.5, 14.0], [1.0, 8.0]]"])
+    assert laplace.pressure_at_es(own, bundle) == pytest.approx(12.8 * MMHG_KPA)
+    # and what a run costs goes with it too
+    slender = {"roof": 10.0}
+    assert measure(own, slender) / measure(scene, slender) == pytest.approx(12.8 / 20.0)
+    assert make_plan(own, bundle, None).title.startswith("pressure 8 to 12.8 mmHg")
 
 
 def test_a_patch_is_as_thin_as_asked() -> None:

@@ -22,13 +22,15 @@ from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import InputError
 from lacli.contracts.bundle import Bundle, load
 from lacli.contracts.labels import BODY_REGIONS, ENDO, REGIONS
-from lacli.contracts.sections import MMHG_KPA
+from lacli.contracts.scene import Scene
 from lacli.geometry import curves
 from lacli.geometry.tetrahedra import volumes
 from lacli.geometry.triangles import area_normals
 from lacli.mechanics.features import cell_gradient
 from lacli.mechanics.inputs import Cell, material_table
+from lacli.mechanics.pressure import pressure_of
 from lacli.mechanics.simulation import finished
+from lacli.motion.annulus import asked_motion
 from lacli.verification.runs import respond
 
 _FAILS = 1.5  # a ratio beyond it, or below its inverse: there the law fails
@@ -82,11 +84,16 @@ def of_run(run: Path) -> LaplaceStudy:
     x = np.asarray(fields.points, float)
     free = x - np.asarray(fields.point_data["displacement_from_unloaded"], float)
     materials = material_table(bundle, scene.materials, scene.numerics.kappa_points_kpa)
-    pressure = scene.loads.esp_mmhg * MMHG_KPA
+    pressure = pressure_at_es(scene, bundle)
     deformed = replace(bundle, points=x)
     stress = along_less_across(bundle, materials, free, x)
     thickness = {name: lap for name, (_, lap) in of_bundle(deformed).per_region.items()}
     return compared(stress, by_law(deformed, thickness, pressure), pressure)
+
+
+def pressure_at_es(scene: Scene, bundle: Bundle) -> float:
+    """The pressure that the run had at its end-systole, kPa: of a scene's own transient what that is there."""
+    return pressure_of(scene, asked_motion(scene.motion, bundle, Path(scene.anatomy.bundle))).at_es_kpa
 
 
 def along_less_across(bundle: Bundle, materials: FloatArray, free: FloatArray, x: FloatArray) -> dict[str, float]:

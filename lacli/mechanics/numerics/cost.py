@@ -32,6 +32,7 @@ from lacli.contracts.parameters import QUANTITIES, STUDY
 from lacli.contracts.scene import Scene, parameters_of
 from lacli.geometry.quadrature import area_vectors
 from lacli.geometry.tetrahedra import TET10_EDGES, boundary_faces, row_keys, volumes
+from lacli.mechanics.pressure import pressure_of
 
 # by order: CPU seconds of a system of 10,000 unknowns, assembly included; the power of n; seconds to begin and end, an unknown
 _SYSTEM = {1: (0.087, 1.267, 7.8e-5), 2: (0.116, 1.306, 5.3e-5)}
@@ -115,9 +116,8 @@ def slenderness(bundle: Bundle) -> dict[str, float]:
 def laplace(scene: Scene, slender: Mapping[str, float]) -> float:
     """End-systolic pressure times radius over thickness times C alpha, the greatest of a region: the measure of Laplace's law."""
     regional = dict(zip(STUDY, parameters_of(scene, STUDY), strict=True))
-    return max(
-        scene.loads.esp_kpa * ratio / (regional[f"c_{name}_kpa"] * regional[f"alpha_{name}"]) for name, ratio in slender.items()
-    )
+    pressure = pressure_of(scene, None).at_es_kpa
+    return max(pressure * ratio / (regional[f"c_{name}_kpa"] * regional[f"alpha_{name}"]) for name, ratio in slender.items())
 
 
 def early_states(scene: Scene) -> int:
