@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import pandas as pd
 
 from lacli.base.arrays import FloatArray
 from lacli.base.documents import read_json, read_toml
-from lacli.contracts.features import SAME_TIME
+from lacli.contracts.features import SAME_TIME, parse
 from lacli.contracts.labels import BODY_REGIONS
 from lacli.contracts.parameters import QUANTITIES
 from lacli.contracts.tables.file import read_frame
@@ -28,7 +29,7 @@ def transients(
 ) -> list[dict[str, Any]]:
     """A row a feature and time (fraction of RR): phase; image with its sd, from the tracked motion in the patient's ``folder``
     or, without one, the targets ``moments`` (as ``fits.courses`` gives them) alone; of the calibration's first runs the number,
-    2.5 and 97.5 % and median; the value at the most probable point; whether it was a target (``used``: any of ``moments`` there).
+    2.5 and 97.5 % and median; the value at the most probable point; whether anything was a target then (``used``).
     Values in the features' units, None where not known.
 
     Runs are known at their own times only, and where the calibration keeps them in its folder. Raises InputError, TableError.
@@ -38,12 +39,13 @@ def transients(
     phases = simulated.phases
     if image is not None:
         phases = read_json(folder / "motion" / "tracking.json")["phases"]
+    # a frame is held out only where no feature of it, be it none of these, was a target
+    targets = [float(row["time"]) for row in moments] + _of_end_systole(result, simulated.phases)
     rows = []
     for key in KEYS:
         seen = {row["time"]: (row["target"], row["sd"]) for row in moments if row["feature"] == key}
         if image is not None:
             seen = dict(zip(image[0].tolist(), zip(*image[1][key], strict=True), strict=True)) if key in image[1] else {}
-        targets = [row["time"] for row in moments if row["feature"] == key]
         for time in _joined([*seen, *simulated.times]):
             value, sd = next((pair for at, pair in seen.items() if abs(at - time) < SAME_TIME), (None, None))
             row = {"participant_id": patient, "feature": key, "time": time, "phase": _phase(time, phases),
@@ -53,6 +55,15 @@ def transients(
     return rows
 
 
+def _of_end_systole(result: Mapping[str, Any], phases: Mapping[str, float]) -> list[float]:
+    """Its time in the runs where a target was of it; none where that is not known."""
+    for fit in result["fit"] if "es" in phases else ():
+        with contextlib.suppress(ValueError):  # a target of the user's own
+            if parse(str(fit["feature"]))[1] is None:
+                return [phases["es"]]
+    return []
+
+
 def over_transients(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """By patient and time of the run at the most probable point after end-diastole: its phase, whether any of it was a target
     (``used``; what was not is held out), root mean square of run less image over the regions' displacements (mm), and that of the
@@ -60,9 +71,9 @@ def over_transients(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     frame = pd.DataFrame(list(rows))
     if frame.empty:
         return []
+    frame = frame.assign(used=frame.groupby(["participant_id", "time"])["used"].transform("any"))
     frame = frame[(frame["time"] > 0.0) & frame["at_map"].notna() & frame["image"].notna()]
-    used = frame.groupby(["participant_id", "time"])["used"].transform("any")
-    frame = frame.assign(off=frame["at_map"].astype(float) - frame["image"].astype(float), used=used)
+    frame = frame.assign(off=frame["at_map"].astype(float) - frame["image"].astype(float))
     found = []
     for (patient, time, phase, told), mine in frame.groupby(["participant_id", "time", "phase", "used"], sort=False):
         found.append({"participant_id": patient, "time": time, "phase": phase, "used": told, **_misfit(mine)})

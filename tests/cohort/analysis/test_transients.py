@@ -86,6 +86,19 @@ def test_the_image_s_the_first_runs_and_the_answer_s(patient: Path) -> None:
     assert whole["rmse_mm"] == pytest.approx(np.sqrt(np.mean(np.square(off))), rel=1e-3)
 
 
+def test_a_frame_of_which_any_feature_was_a_target_is_not_held_out(patient: Path) -> None:
+    """A distance along normals is no row of the table, and yet the frame was fitted."""
+    along = [{"feature": "n_roof_mm", "time": 0.2, "target": 2.0, "sd": 0.3}]
+    rows = transients("a", patient, RESULT, along)
+    assert {row["used"] for row in rows if row["time"] == 0.2} == {True}
+    told = {r["time"]: r["used"] for r in over_transients(rows) if r["time"] is not None}
+    assert told == {0.2: True, 0.4: False, 0.7: False}
+    # no motion tells end-systole's time: the runs do, whose reservoir ends at .4
+    of_es = {**RESULT, "fit": [{"feature": "my own"}, {"feature": "n_roof_mm"}]}
+    (patient / "motion" / "tracking.json").unlink()
+    assert {r["time"] for r in transients("a", patient, of_es) if r["used"]} == {0.4}
+
+
 def test_without_a_tracked_motion_the_targets_stand_for_the_image(patient: Path) -> None:
     (patient / "motion" / "tracking.json").unlink()
     moments = [{"participant_id": "a", "feature": "d_roof_mm", "time": 0.2, "target": 2.5, "sd": 0.2, "at_map": 2.0}]
