@@ -12,7 +12,9 @@ import numpy as np
 from lacli.base.documents import read_json
 from lacli.base.errors import AnatomyError, InputError
 from lacli.cohort.comparison import STRONG
+from lacli.cohort.patient import discretisation
 from lacli.contracts.features import family, parse
+from lacli.contracts.targets import Targets
 
 
 @dataclass(frozen=True)
@@ -114,17 +116,21 @@ def over_frames(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     return sorted(found, key=lambda row: (str(row["participant_id"]), row["time"]))
 
 
-def over_numerics(results: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+def over_numerics(results: Mapping[str, Mapping[str, Any]], targets: Mapping[str, Targets]) -> list[dict[str, Any]]:
     """By feature over the patients: the discretisation's part of its error, median and largest, and that over the measurement's
-    sd; of features whose two parts are told."""
+    sd; of features whose two parts are told. targets: of each such patient as they were given, by which what they state of the
+    model and what the calibration found too small are told apart from it."""
+    parts = {patient: discretisation(results[patient], given) for patient, given in targets.items()}
     rows: list[dict[str, Any]] = []
-    fits = [row for result in results.values() for row in result["fit"] if row.get("own_sd")]
-    for name in dict.fromkeys(str(row["feature"]) for row in fits):
-        pairs = np.array([(float(row["sd"]), float(row["own_sd"])) for row in fits if row["feature"] == name])
-        part = np.sqrt(np.maximum(pairs[:, 0] ** 2 - pairs[:, 1] ** 2, 0.0))
+    fits = [(parts[patient], row) for patient in parts for row in results[patient]["fit"] if row.get("own_sd")]
+    for name in dict.fromkeys(str(row["feature"]) for _, row in fits):
+        mine = [(of[name], float(row["own_sd"])) for of, row in fits if row["feature"] == name and name in of]
+        if not mine:
+            continue
+        part, own = np.array(mine).T
         rows.append({
-            "feature": name, "patients": len(pairs), "discretisation_median": float(np.median(part)),
-            "discretisation_largest": float(part.max()), "over_measurement": float(np.median(part / pairs[:, 1])),
+            "feature": name, "patients": len(mine), "discretisation_median": float(np.median(part)),
+            "discretisation_largest": float(part.max()), "over_measurement": float(np.median(part / own)),
         })  # fmt: skip
     return rows
 

@@ -53,6 +53,7 @@ from lacli.cohort.files import (
 from lacli.cohort.participants import Participant
 from lacli.cohort.study import Outcome
 from lacli.contracts.labels import BODY_REGIONS
+from lacli.contracts.targets import Targets, read_targets
 
 _DRAWS = 200
 
@@ -63,6 +64,7 @@ def write_summary(study: Path, participants: Sequence[Participant], outcomes: Se
     notes: list[str] = []
     regions, draws, models = [], [], []
     results, contrasts, anatomies = {}, {}, []
+    given: dict[str, Targets] = {}
     moved: list[dict[str, Any]] = []
     made: list[dict[str, Any]] = []
     scored: list[dict[str, Any]] = []
@@ -74,6 +76,8 @@ def write_summary(study: Path, participants: Sequence[Participant], outcomes: Se
             continue
         folder = study / patient.identifier
         result = results[patient.identifier] = read_json(folder / "calibration" / "result.json")
+        if any(row.get("own_sd") for row in result["fit"]):
+            given[patient.identifier] = read_targets(patient.paths.get("targets", folder / "motion" / "targets.toml"))
         contrasts[patient.identifier] = read_contrasts(folder)
         anatomy = read_anatomy(patient.paths.get("bundle", folder / "anatomy"), patient.identifier)
         fat = _fat(folder)
@@ -113,7 +117,7 @@ def write_summary(study: Path, participants: Sequence[Participant], outcomes: Se
         (ANATOMIES, pd.DataFrame(anatomies)),
         (COURSES, pd.DataFrame(moved)),
         (FRAMES, pd.DataFrame(over_frames(moved))),
-        (DISCRETISATION, pd.DataFrame(over_numerics(results))),
+        (DISCRETISATION, pd.DataFrame(over_numerics(results, given))),
         (OUTPUTS, pd.DataFrame(over_outputs(scored))),
         (SCORES, pd.DataFrame(scored)),
         (TRANSIENTS, pd.DataFrame(seen)),

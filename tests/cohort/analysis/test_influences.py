@@ -11,6 +11,7 @@ import pytest
 
 from lacli.cohort.analysis.fits import courses, over_frames, over_numerics, over_outputs, scores
 from lacli.cohort.analysis.influences import by_patient, influences, over_patients
+from lacli.contracts.targets import Targets
 from lacli.inference.emulation.emulator import fit_emulator
 from lacli.inference.emulation.emulator_set import EmulatorSet, save_emulators
 from lacli.report.cohort_figures import courses_figure, influence_figure, ninety
@@ -84,7 +85,8 @@ def test_courses_and_frames() -> None:
 
 
 def test_numerics_and_emulators_over_patients() -> None:
-    volume, roof = over_numerics({"a": {"fit": FIT}})
+    given = Targets(("esv_ml", "d_roof_mm@0.2"), np.array([100.0, 3.0]), np.array([3.0, 0.3]))
+    volume, roof = over_numerics({"a": {"fit": FIT}}, {"a": given})
     assert volume["discretisation_median"] == pytest.approx(4.0) and volume["over_measurement"] == pytest.approx(4.0 / 3.0)
     assert roof["discretisation_largest"] == pytest.approx(0.4)
     waves = [{"r2": {"esv_ml": 0.5}}, {"r2": {"esv_ml": 0.9, "d_roof_mm": None}, "ise": {"esv_ml": 0.93}}]
@@ -97,6 +99,15 @@ def test_numerics_and_emulators_over_patients() -> None:
         "output": "esv_ml", "patients": 3, "r2_mean": pytest.approx(0.8), "r2_least": 0.7, "of": "b",
         "ise_mean": pytest.approx(0.95), "ise_least": 0.93, "ise_of": "a",
     }  # fmt: skip
+
+
+def test_what_targets_state_of_the_model_is_no_discretisation_error() -> None:
+    """Of 25 mL^2, 9 are the measurement's; 16 are 4 times what was added: 4, of which 2.56 were stated."""
+    given = Targets(("esv_ml",), np.array([100.0]), np.array([3.0])).widened({"esv_ml": 1.6})
+    result = {"fit": FIT[:1], "error_factor": {"value": 2.0}}
+    (row,) = over_numerics({"a": result, "b": {"fit": FIT[2:]}}, {"a": given})
+    assert (row["patients"], row["discretisation_median"]) == (1, pytest.approx(1.2))
+    assert row["over_measurement"] == pytest.approx(0.4)
 
 
 def test_the_figures_are_drawn(tmp_path: Path) -> None:
