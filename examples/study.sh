@@ -28,7 +28,7 @@ for arm in "${ARMS[@]}"; do
   if [ "$PATIENTS" -ge 3 ]; then
     say "$arm: statistics"
     try "$arm: no statistics" "$BIN/lacli" stats "$STUDY/regions.csv" --response d_mm --predictor alpha \
-      --out "$STUDY/statistics" --targets "$COHORT/sub-01/targets.toml"
+      --draws "$STUDY/draws.csv" --out "$STUDY/statistics" --targets "$COHORT/sub-01/targets.toml"
   fi
   say "$arm: truths against posteriors"
   try "$arm: a claim is the wrong way round, or none is done" "$PYTHON" "$ROOT/benchmarks/study.py" "$COHORT" "$STUDY"

@@ -13,7 +13,7 @@ from lacli.cohort.analysis.demographics import HEAD, demographics
 from lacli.cohort.analysis.journal import MODEL_HEAD, PAIR_HEAD, SLOPE_HEAD, model_rows, pair_rows, slope_rows
 from lacli.cohort.analysis.observations import Observations, read_observations
 from lacli.cohort.analysis.statistics import Statistics, statistics
-from lacli.cohort.files import CONTRASTS, MODELS, PATIENTS, REGIONS, SUMMARY
+from lacli.cohort.files import CONTRASTS, DRAWS, MODELS, PATIENTS, REGIONS, SUMMARY
 from lacli.cohort.sections import (
     anatomies_section,
     cells,
@@ -33,6 +33,7 @@ from lacli.report.page.run import closing
 
 _LONG = {"d_mm": "displacement at ES (mm)", "alpha": "stiffness alpha", "c": "stiffness C (kPa)",
          "thickness_mm": "wall thickness (mm)", "fat_ml": "epicardial fat (mL)"}  # fmt: skip
+_DRAWN = "alpha"  # what a study's joint draws are of
 # of the published tables: what is asked of what
 _QUESTIONS = (("d_mm", ("thickness_mm", "fat_ml", "alpha")), ("alpha", ("thickness_mm", "fat_ml")))
 _OF_STUDY = ("participant_id", "status", "step", "reason", "cpu_s", "arm")  # columns that say nothing of a participant
@@ -84,7 +85,9 @@ def _answers(study: Path, pictures: Path) -> list[Section]:
     names = [name for name in _LONG if name in frame]
     if frame["participant_id"].nunique() < 2:
         return [Section("statistics", "Statistics", ("One patient is done; statistics over patients need at least 2.",))]
-    observed = read_observations(file, names)
+    # joint draws tell how a patient's regions err together, which no sd does
+    draws = study / DRAWS if _DRAWN in names and (study / DRAWS).is_file() else None
+    observed = read_observations(file, names, draws=draws)
     sections = []
     for response, wanted in _QUESTIONS:
         if response not in names:

@@ -11,6 +11,7 @@ import pytest
 
 import lacli
 from lacli.base.errors import InputError
+from lacli.cohort.page import study_page
 from lacli.contracts.labels import BODY_REGIONS
 
 
@@ -41,6 +42,33 @@ def test_the_page_of_a_study(tmp_path: Path) -> None:
     assert {f.name for f in made.figures.glob("d_mm*")} == {
         f"{n}.{s}" for n in ("d_mm", "d_mm_alpha") for s in ("png", "pdf", "svg")
     }
+
+
+def test_slopes_take_how_the_regions_err_together(tmp_path: Path) -> None:
+    """An error that all regions of a patient share is the intercept's, and thins no slope; alone, the same sd would."""
+    study = _study(tmp_path / "s", 6)
+    frame = pd.read_csv(study / "regions.csv").assign(alpha_sd=0.2)
+    frame.to_csv(study / "regions.csv", index=False)
+    alone = _structural(study, tmp_path / "alone")
+    shared = 0.2 * np.random.default_rng(1).normal(size=(200, 6))
+    shared -= shared.mean(axis=0)
+    draws = pd.concat([frame[["participant_id", "region", "alpha"]].assign(draw=k) for k in range(200)])
+    draws["alpha"] += np.repeat(shared, 5, axis=1).ravel()
+    draws.to_csv(study / "draws.csv", index=False)
+    told = lacli.stats(study / "regions.csv", "d_mm", ["alpha"], draws=study / "draws.csv").associations[0]
+    together = _structural(study, tmp_path / "together")
+    assert together[2] == f"{told.carried[0].estimate:.3g}"
+    assert float(together[2]) == pytest.approx(told.plain.of("alpha").estimate, rel=0.3)
+    assert abs(float(alone[2])) > 1.3 * abs(float(together[2]))
+    # a study of which nothing of alpha is told has no use for them
+    frame.drop(columns=["alpha", "alpha_sd"]).to_csv(study / "regions.csv", index=False)
+    study_page(study, tmp_path / "without")
+
+
+def _structural(study: Path, pictures: Path) -> list[str]:
+    rows = [row for part in study_page(study, pictures).sections for table in part.tables for row in table.rows]
+    (found,) = [list(map(str, row)) for row in rows if "structural" in row]
+    return found
 
 
 @pytest.mark.parametrize(("patients", "words"), [(1, "need at least 2"), (2, "Paired t-tests")])
