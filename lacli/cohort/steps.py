@@ -17,7 +17,10 @@ COMMANDS = ("mesh", "fat", "track", "calibrate", "compare")
 SLURM = ("time", "memory", "cpus", "account", "partition", "modules", "limit", "interface")
 _OPTION = re.compile(r"[a-z][a-z0-9-]*")
 _PLAIN = re.compile(r"[A-Za-z0-9_./:=+,@ -]{1,200}")
-_OURS = ("out", "bundle", "anatomy", "targets", "from-table", "json", "other", "priors")
+READ = ("box", "landmarks", "fibres", "labels")  # options whose value names a file that the command reads
+WRITTEN = ("store", "also")  # and those whose value it fills
+_BUNDLE = "bundle"  # the key whose value is a folder, of options KEY=VALUE
+OURS = ("out", "bundle", "anatomy", "targets", "from-table", "json", "other", "priors")
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,19 @@ class Settings:
                 for one in value if isinstance(value, list) else [value]:
                     words += [f"--{name}", str(one)]
         return words
+
+    def reads(self, command: str, folder: Path, bundle: Path) -> list[Path]:
+        """Files and folders that the command's options name and that are there; ``folder`` is where it is called, ``bundle`` the
+        patient's, beside which another one is looked for."""
+        found = []
+        for name, value in self.options.get(command, {}).items():
+            for text in map(str, value if isinstance(value, list) else [value]):
+                key, _, named = (part.strip() for part in text.partition("="))
+                if name in READ:
+                    found.append(folder / text)
+                elif key.split(".")[-1] == _BUNDLE:
+                    found.append(bundle.parent / named.strip("\"'"))
+        return [place for place in found if _is_there(place)]
 
 
 @dataclass(frozen=True)
@@ -63,7 +79,7 @@ def read_settings(path: Path | None) -> Settings:
         if command not in COMMANDS or not isinstance(table, dict):
             raise UsageError(f"{path}: [{command}]: the tables are {', '.join((*COMMANDS, 'slurm'))}.")
         for name, value in table.items():
-            if not _OPTION.fullmatch(name) or name in _OURS:
+            if not _OPTION.fullmatch(name) or name in OURS:
                 raise UsageError(f"{path}: {command}.{name}: not an option that all patients can share.")
             _check_value(path, f"{command}.{name}", value)
     if not isinstance(slurm, dict) or set(slurm) - set(SLURM):
@@ -73,6 +89,13 @@ def read_settings(path: Path | None) -> Settings:
             if isinstance(one, bool) or not _PLAIN.fullmatch(str(one)):
                 raise UsageError(f"{path}: slurm.{name}: {brief(one)} cannot stand in a batch script.")
     return Settings(document, slurm)
+
+
+def _is_there(place: Path) -> bool:
+    try:
+        return place.exists()
+    except (OSError, ValueError):  # no name that a file could have
+        return False
 
 
 def _check_value(path: Path, name: str, value: Any) -> None:
@@ -93,7 +116,9 @@ def steps_of(patient: Participant, settings: Settings, folder: Path, scene: Path
 
     def add(name: str, words: list[str], reads: list[Path], product: Path) -> None:
         command = name.partition("_")[0]
-        steps.append(Step(name, (command, *words, *settings.arguments(command)), tuple(reads), product))
+        own = paths[UNIFORM] if name.endswith(f"_{UNIFORM}") else bundle
+        read = dict.fromkeys([*reads, *settings.reads(command, folder, own)])
+        steps.append(Step(name, (command, *words, *settings.arguments(command)), tuple(read), product))
 
     if table is None:
         # tracking puts the annulus' motion into a bundle that is the study's own, and changes nothing else of it

@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from lacli.anatomy.inputs.parts import parts
 from lacli.base.documents import read_json, read_toml
 from lacli.base.errors import Cancelled, InputError, StorageError, UsageError
 from lacli.base.files import write_json
@@ -135,8 +136,8 @@ def _method(step: Step) -> str:
 
 
 def _digests(step: Step) -> dict[str, str]:
-    """Digests of all that a step reads: its files, and those that these name."""
-    return {str(path): content_digest(path) for file in step.reads for path in (file, *_named(file))}
+    """Digests of all that a step reads: its files, and those that these name or that belong to them."""
+    return {str(path): content_digest(path) for file in step.reads for path in (file, *_named(file), *parts(file))}
 
 
 def _named(file: Path) -> list[Path]:
