@@ -145,13 +145,19 @@ def write_report(folder: Path, page: Path, *, figures: Path | None = None, run: 
 
 
 def _thickness(run: Path) -> tuple[tuple[FloatArray, FloatArray] | None, str]:
-    """Points of the endocardium and their wall thickness, mm, from the run's bundle; None and why where it is not there."""
+    """Points of the endocardium and their wall thickness, mm, from the run's bundle; None and why where it is not there, or
+    another one by now."""
     from lacli.anatomy.wall.thickness import of_bundle
+    from lacli.base.documents import read_json
     from lacli.contracts.bundle import load
     from lacli.contracts.scene import load_scene
+    from lacli.report.page.run import changed_since
 
     try:
-        bundle = load(Path(load_scene(run / "scene.toml").anatomy.bundle))
+        scene = load_scene(run / "scene.toml")
+        if changed := changed_since(scene, read_json(run / "manifest.json")):
+            return None, f"Wall thickness is not shown: {changed}"
+        bundle = load(Path(scene.anatomy.bundle))
         found = of_bundle(bundle)
     except LacliError as error:
         return None, f"Wall thickness is not shown: {error}"

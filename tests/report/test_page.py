@@ -15,11 +15,14 @@ import pytest
 import pyvista as pv
 
 import lacli
+from lacli.api.study import _thickness
 from lacli.base.errors import InputError, UsageError
+from lacli.contracts.identity import run_key
 from lacli.contracts.labels import BODY_REGIONS, PLANES, REGIONS, RINGS
+from lacli.contracts.scene import load_scene
 from lacli.report.page.document import Page, Section, html
 from lacli.report.page.patient import patient_page
-from lacli.report.page.run import run_page
+from lacli.report.page.run import read_run, run_page
 from lacli.report.page.shape import NAMES, OtherAnatomyError, atrium
 
 SCENE = """
@@ -145,6 +148,26 @@ def test_the_page_of_a_patient(run: Path, patient: Path, tmp_path: Path) -> None
     assert re.search(r"CPU time of all runs, h</td><td>3<", text)
     assert "@article{ForemanMackey2013," in text
     assert "window.viewer" not in html(patient_page(patient, tmp_path, None, None))
+
+
+def test_nothing_of_another_bundle_stands_beside_a_run(run: Path, tmp_path: Path) -> None:
+    """The bundle meshed anew, thicker, under the same name: its thickness and its cells' errors are not the run's."""
+    lacli.synthesize(tmp_path / "la", cell_size_mm=12.0, order=1)
+    (run / "scene.toml").write_text(SCENE.replace("nowhere", str(tmp_path / "la")))
+    manifest = json.loads((run / "manifest.json").read_text()) | {"key": run_key(load_scene(run / "scene.toml"))}
+    (run / "manifest.json").write_text(json.dumps(manifest))
+    assert read_run(run).features["discretisation_error"] and not read_run(run).changed
+    thickness, note = _thickness(run)
+    assert thickness is not None and thickness[1].mean() == pytest.approx(2.0, abs=0.2) and not note
+    shutil.rmtree(tmp_path / "la")
+    lacli.synthesize(tmp_path / "la", cell_size_mm=12.0, order=1, thickness_mm=3.0)
+    text = lacli.write_report(run, tmp_path / "run.html").page.read_text(encoding="utf-8")
+    for words in (
+        "No discretisation error is shown: scene.toml, the bundle",
+        "Wall thickness is not shown: scene.toml, the bundle",
+    ):
+        assert words in text
+    assert "discretisation_error" not in read_run(run).features
 
 
 def test_a_run_of_another_anatomy_is_refused(run: Path, patient: Path, tmp_path: Path) -> None:

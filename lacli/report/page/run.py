@@ -13,6 +13,7 @@ from lacli.base.documents import read_json
 from lacli.base.errors import AnatomyError, InputError
 from lacli.contracts import bundle as bundles
 from lacli.contracts.features import KEYS, PUBLISHED
+from lacli.contracts.identity import run_key
 from lacli.contracts.labels import BODY_REGIONS
 from lacli.contracts.scene import Scene, load_scene
 from lacli.mechanics.numerics.equilibria import SPREAD, said_of
@@ -41,12 +42,13 @@ _ERRORS = {
 
 @dataclass(frozen=True)
 class Run:
-    """A finished run's folder as it was read."""
+    """A finished run's folder as it was read; ``changed``: in words, that its bundle is no longer what it was made of."""
 
     folder: Path
     scene: Scene
     features: Mapping[str, Any]
     manifest: Mapping[str, Any]
+    changed: str = ""
 
 
 def read_run(folder: Path) -> Run:
@@ -61,9 +63,24 @@ def read_run(folder: Path) -> Run:
     if not isinstance(features, dict):
         raise InputError(f"{folder / 'features.json'}: not a table of features.")
     scene = load_scene(folder / "scene.toml")
+    if changed := changed_since(scene, manifest):
+        return Run(folder, scene, features, manifest, changed)
     with contextlib.suppress(AnatomyError):  # the bundle is gone: the page says that no error is known
         features = with_errors(scene, bundles.load(scene.anatomy.bundle), features)
     return Run(folder, scene, features, manifest)
+
+
+def changed_since(scene: Scene, manifest: object) -> str:
+    """In words, that a run's key is not that of its scene and bundle as they are now; '' where it is, or the bundle is gone.
+
+    What is read from the bundle would be another one's beside the run's features.
+    """
+    try:
+        same = isinstance(manifest, dict) and run_key(scene) == manifest.get("key")
+    except AnatomyError:
+        return ""
+    where = scene.anatomy.bundle
+    return "" if same else f"scene.toml, the bundle {where} or lacli's solver are no longer what this run was made of."
 
 
 def run_page(folder: Path, pictures: Path, thickness: Thickness | None, note: str = "") -> Page:
@@ -175,7 +192,9 @@ def _costs(run: Run) -> Table:
 
 def _doubts(run: Run) -> tuple[str, ...]:
     said = []
-    if not run.features.get("discretisation_error"):
+    if run.changed:
+        said.append(f"No discretisation error is shown: {run.changed} Simulate the scene anew.")
+    elif not run.features.get("discretisation_error"):
         said.append(f"No discretisation error is known: the bundle {run.scene.anatomy.bundle} cannot be read any more.")
     for key, name in (("ed_unstable_modes", "end-diastole"), ("es_unstable_modes", "end-systole")):
         modes = run.features.get(key)
