@@ -185,9 +185,10 @@ def _gathered(participants: Path, folder: Path, outcomes: dict[str, Outcome]) ->
 def _cost(chosen: Patients, rows: Sequence[Planned], folder: Path, settings: Path | None) -> dict[str, Any]:
     from lacli.cohort.analysis.summary import median_cpu_s
     from lacli.cohort.steps import read_settings
+    from lacli.cohort.study import TO_DO
 
     given = read_settings(settings).options.get("calibrate", {})
-    todo = {(row.participant_id, row.step) for row in rows if row.state != "done"}
+    todo = {(row.participant_id, row.step) for row in rows if row.state.startswith(TO_DO)}
     every = [step for patient, steps in chosen for step in steps if (patient.identifier, step.name) in todo]
     steps = [step for step in every if step.arguments[0] == "calibrate"]
     simulated = [step for step in steps if "--from-table" not in step.arguments]

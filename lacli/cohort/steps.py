@@ -60,12 +60,18 @@ class Settings:
 @dataclass(frozen=True)
 class Step:
     """name (a command, of a second call ``command_what``); arguments of ``lacli``; files and folders that it reads; the product
-    that shows that it is done."""
+    that shows that it is done, and what else it leaves, in the folder of another step."""
 
     name: str
     arguments: tuple[str, ...]
     reads: tuple[Path, ...]
     product: Path
+    beside: tuple[Path, ...] = ()
+
+    def fills(self, place: Path) -> bool:
+        """Whether a file or folder is, or lies in, the one that the step makes: the product, of a file the folder of it."""
+        made = self.product.parent if self.product.suffix else self.product
+        return place == made or made in place.parents
 
 
 def read_settings(path: Path | None) -> Settings:
@@ -114,11 +120,11 @@ def steps_of(patient: Participant, settings: Settings, folder: Path, scene: Path
     own_bundle = "bundle" not in paths
     bundle, targets = paths.get("bundle", folder / "anatomy"), paths.get("targets", folder / "motion" / "targets.toml")
 
-    def add(name: str, words: list[str], reads: list[Path], product: Path) -> None:
+    def add(name: str, words: list[str], reads: list[Path], product: Path, beside: tuple[Path, ...] = ()) -> None:
         command = name.partition("_")[0]
         own = paths[UNIFORM] if name.endswith(f"_{UNIFORM}") else bundle
         read = dict.fromkeys([*reads, *settings.reads(command, folder, own)])
-        steps.append(Step(name, (command, *words, *settings.arguments(command)), tuple(read), product))
+        steps.append(Step(name, (command, *words, *settings.arguments(command)), tuple(read), product, beside))
 
     if table is None:
         # tracking puts the annulus' motion into a bundle that is the study's own, and changes nothing else of it
@@ -134,7 +140,8 @@ def steps_of(patient: Participant, settings: Settings, folder: Path, scene: Path
             reads = [paths["images"], *anatomy]
             if (known := paths.get("priors")) is not None:
                 words, reads = [*words, "--priors", str(known)], [*reads, known]
-            add("track", words, reads, targets)
+            # a bundle that is meshed anew has no motion any more
+            add("track", words, reads, targets, (bundle / "motion.npz",) if own_bundle else ())
     calibration = folder / "calibration"
     words = ["--targets", str(targets), "--out", str(calibration)]
     if table is None:

@@ -1,8 +1,8 @@
 """A study on disk: a folder a patient, a step done once and found again by the content of all that it read.
 
 ``STUDY/<participant_id>/steps/<step>.json`` is written when a step has ended well; ``<step>.log`` has what it said. A step whose
-inputs, options, method or product have changed since is refused, never mixed. What goes wrong with a patient is that patient's,
-with its reason.
+inputs, options, method or product have changed since is refused, never mixed; where its mark or product was removed it is done
+again. What goes wrong with a patient is that patient's, with its reason.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from lacli.cohort.participants import Participant
 from lacli.cohort.steps import Step
 from lacli.contracts.identity import METHODS, content_hash, solver_digest
 
+TO_DO, DONE = "to do", "done"
 _TIMEOUT_S = 30 * 86_400.0
 _BLOCK = 1 << 20
 
@@ -42,7 +43,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Planned:
-    """A step of the dry run: ``done``, ``to do``, or why it cannot be."""
+    """A step of the dry run: ``done``, ``to do``, or of a step that was done, on what it depends that it still is."""
 
     participant_id: str
     step: str
@@ -52,11 +53,13 @@ class Planned:
 
 def planned(patient: Participant, steps: Sequence[Step], folder: Path) -> list[Planned]:
     """The state of each step, nothing is run. Raises UsageError where what was done was done from something else."""
-    rows, fresh = [], False
+    rows: list[Planned] = []
+    making: list[Step] = []
     for step in steps:
-        done = not fresh and _is_done(step, folder)
-        fresh |= not done
-        rows.append(Planned(patient.identifier, step.name, "done" if done else "to do", " ".join(("lacli", *step.arguments))))
+        state = _state(step, folder, making)
+        if state.startswith(TO_DO):
+            making.append(step)
+        rows.append(Planned(patient.identifier, step.name, state, " ".join(("lacli", *step.arguments))))
     return rows
 
 
@@ -74,7 +77,7 @@ def run(
         for step in steps:
             tick(step.name)
             try:
-                if not _is_done(step, folder):
+                if _state(step, folder) == TO_DO:
                     _do(step, folder, wanted)
                 cpu[step.name] = float(read_json(_mark(step, folder))["cpu_s"])
             except (UsageError, InputError, StorageError) as error:
@@ -103,24 +106,32 @@ def _mark(step: Step, folder: Path) -> Path:
     return folder / "steps" / f"{step.name}.json"
 
 
-def _is_done(step: Step, folder: Path) -> bool:
+def _state(step: Step, folder: Path, making: Sequence[Step] = ()) -> str:
+    """``done`` or ``to do``; and of a step that was done, and reads what the steps ``making`` will make anew, that it is so if
+    they make the same again.
+
+    Raises UsageError where it was done from something else: results are never written over, nor mixed with those of other inputs.
+    """
     mark = _mark(step, folder)
-    if not mark.is_file():
-        return False
-    known = read_json(mark)
+    known = read_json(mark) if mark.is_file() else None
     if not isinstance(known, dict) or not step.product.exists():
-        return False
-    if why := _otherwise(step, known):
+        return TO_DO
+    if why := _otherwise(step, known, making):
         raise UsageError(f"{folder}: {step.name} was {why}; choose another --out, or remove {mark} and its results.")
-    return True
+    left = all(place.exists() and not any(other.fills(place) for other in making) for place in step.beside)
+    before = [other.name for other in making if any(map(other.fills, step.reads))]
+    same = f", if {' and '.join(before)} {'makes' if len(before) == 1 else 'make'} the same again; else refused"
+    return f"{DONE if left else TO_DO}{same if before else ''}"
 
 
-def _otherwise(step: Step, known: dict[str, object]) -> str:
-    """How what is kept of a step was done otherwise than it would be now, in words; '' where it is the same."""
+def _otherwise(step: Step, known: dict[str, object], making: Sequence[Step]) -> str:
+    """How what is kept of a step was done otherwise than it would be now, in words; '' where it is the same, as far as that is
+    known before ``making`` are done."""
     if known.get("arguments") != list(step.arguments):
         return "done with other options"
     reads = known.get("reads")
-    if changed := [n for n, digest in _digests(step).items() if not isinstance(reads, dict) or reads.get(n) != digest]:
+    digests = _digests(step, making)
+    if changed := [n for n, digest in digests.items() if not isinstance(reads, dict) or reads.get(n) != digest]:
         return f"done from another {changed[0]}"
     if known.get("method") != (method := _method(step)):
         return f"done by another version ({known.get('method', 'it does not say which')}; this is {method})"
@@ -135,9 +146,10 @@ def _method(step: Step) -> str:
     return f"lacli {__version__}, methods {content_hash({**METHODS, 'scripts': scripts})[:8]}"
 
 
-def _digests(step: Step) -> dict[str, str]:
-    """Digests of all that a step reads: its files, and those that these name or that belong to them."""
-    return {str(path): content_digest(path) for file in step.reads for path in (file, *_named(file), *parts(file))}
+def _digests(step: Step, making: Sequence[Step] = ()) -> dict[str, str]:
+    """Digests of all that a step reads: its files, those that these name or that belong to them; not what ``making`` fill."""
+    there = [file for file in step.reads if not any(other.fills(file) for other in making)]
+    return {str(path): content_digest(path) for file in there for path in (file, *_named(file), *parts(file))}
 
 
 def _named(file: Path) -> list[Path]:

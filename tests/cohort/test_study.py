@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,6 +16,7 @@ from chains import chain_of
 
 from lacli.base.errors import Cancelled, InputError, UsageError
 from lacli.cohort import page as study_pages
+from lacli.cohort import study
 from lacli.cohort.analysis.summary import median_cpu_s, write_summary
 from lacli.cohort.files import MODELS, PATIENTS, REGIONS, SUMMARY
 from lacli.cohort.participants import Participant, read_participants
@@ -61,12 +65,93 @@ def test_a_step_is_done_once_and_refused_from_other_content(patient: Participant
         planned(patient, [dataclasses.replace(step, arguments=("--help",))], folder)
 
 
-def test_what_follows_a_step_that_is_to_do_is_to_do(patient: Participant, tmp_path: Path) -> None:
+def making(content: str) -> Callable[..., SimpleNamespace]:
+    """A stand-in of a step's process: it writes the product, the last of its arguments."""
+
+    def supervise(command: list[str], **_: Any) -> SimpleNamespace:
+        Path(command[-1]).parent.mkdir(exist_ok=True)
+        Path(command[-1]).write_text(content)
+        return SimpleNamespace(cut=None, exit_code=0, cpu_s=1.0, wall_s=1.0, last_lines=())
+
+    return supervise
+
+
+def test_the_dry_run_says_what_the_run_does(patient: Participant, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A step whose inputs are made anew is done where they are the same, refused where not; one that reads none of it is done."""
+    wall, fat, other = (tmp_path / name for name in ("anatomy/wall.txt", "fat/fat.txt", "other/other.txt"))
+    steps = [
+        Step("mesh", ("mesh", str(wall)), (tmp_path / "scene.toml",), wall),
+        Step("fat", ("fat", str(fat)), (wall.parent,), fat),
+        Step("track", ("track", str(other)), (tmp_path / "runs.csv",), other),
+    ]
+    folder = tmp_path / "s"
+
+    def told() -> list[str]:
+        return [row.state for row in planned(patient, steps, folder)]
+
+    monkeypatch.setattr(study, "supervise", making("one"))
+    assert told() == ["to do"] * 3
+    assert run(patient, steps, folder, lambda name: None, lambda: True).status == "done"
+    again = ["to do", "done, if mesh makes the same again; else refused", "done"]
+    for lost in (wall, folder / "steps" / "mesh.json"):
+        lost.unlink()
+        assert told() == again
+        assert run(patient, steps, folder, lambda name: None, lambda: True).status == "done"
+        assert told() == ["done"] * 3
+
+    (tmp_path / "scene.toml").write_text("another")
+    with pytest.raises(UsageError, match="mesh was done from another"):
+        told()
+    (folder / "steps" / "mesh.json").unlink()
+    assert told() == again
+    kept = fat.stat().st_mtime_ns
+    monkeypatch.setattr(study, "supervise", making("two"))
+    outcome = run(patient, steps, folder, lambda name: None, lambda: True)
+    assert (outcome.status, outcome.step) == ("failed", "fat") and "done from another" in outcome.reason
+    assert fat.stat().st_mtime_ns == kept, "what was done from the old mesh stays"
+    # as the refusal says
+    (folder / "steps" / "fat.json").unlink()
+    assert told() == ["done", "to do", "done"]
+    assert run(patient, steps, folder, lambda name: None, lambda: True).status == "done" and fat.read_text() == "two"
+
+
+def test_what_is_lost_with_another_step_s_folder_is_done_again(
+    patient: Participant, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Tracking's motion stands in the bundle: one that is meshed anew, though the same, has none."""
+    wall, motion = tmp_path / "anatomy" / "wall.txt", tmp_path / "motion" / "targets.txt"
+    inside = wall.with_name("motion.npz")
+    steps = [
+        Step("mesh", ("mesh", str(wall)), (tmp_path / "scene.toml",), wall),
+        Step("track", ("track", str(inside), str(motion)), (wall,), motion, (inside,)),
+    ]
+    made: list[str] = []
+
+    def supervise(command: list[str], **_: Any) -> SimpleNamespace:
+        made.append(command[3])
+        if command[3] == "mesh":
+            inside.unlink(missing_ok=True)
+        for file in map(Path, command[4:]):
+            file.parent.mkdir(exist_ok=True)
+            file.write_text("one")
+        return SimpleNamespace(cut=None, exit_code=0, cpu_s=1.0, wall_s=1.0, last_lines=())
+
+    monkeypatch.setattr(study, "supervise", supervise)
+    run(patient, steps, tmp_path / "s", lambda name: None, lambda: True)
+    (tmp_path / "s" / "steps" / "mesh.json").unlink()
+    states = [row.state for row in planned(patient, steps, tmp_path / "s")]
+    assert states == ["to do", "to do, if mesh makes the same again; else refused"]
+    assert run(patient, steps, tmp_path / "s", lambda name: None, lambda: True).status == "done"
+    assert made == ["mesh", "track"] * 2 and inside.is_file()
+
+
+def test_a_refusal_that_is_known_comes_before_anything_is_done(patient: Participant, tmp_path: Path) -> None:
     (tmp_path / "input.txt").write_text("one")
-    folder = tmp_path / "study" / "sub-1"
-    run(patient, [version_step(tmp_path, "calibrate")], folder, lambda name: None, lambda: True)
-    rows = planned(patient, [version_step(tmp_path, "mesh"), version_step(tmp_path, "calibrate")], folder)
-    assert [row.state for row in rows] == ["to do", "to do"]
+    folder, last = tmp_path / "study" / "sub-1", version_step(tmp_path, "calibrate")
+    run(patient, [last], folder, lambda name: None, lambda: True)
+    assert [row.state for row in planned(patient, [version_step(tmp_path, "mesh"), last], folder)] == ["to do", "done"]
+    with pytest.raises(UsageError, match="calibrate was done with other options"):
+        planned(patient, [version_step(tmp_path, "mesh"), dataclasses.replace(last, arguments=("--help",))], folder)
 
 
 def test_a_failure_is_an_outcome_with_its_last_words(patient: Participant, tmp_path: Path) -> None:
@@ -126,16 +211,16 @@ def test_the_tables_hold_who_is_done_and_say_who_is_not(tmp_path: Path) -> None:
         "participant_id,targets,table,age\n" + "".join(f"sub-{i},targets.toml,targets.toml,{60 + i}\n" for i in range(3))
     )
     patients = read_participants(tmp_path / "p.csv")
-    study = tmp_path / "study"
+    home = tmp_path / "study"
     for i in (0, 1):
-        compared(study / f"sub-{i}", 0.2 + 0.2 * i)
-    (study / "sub-0" / "motion").mkdir()
-    (study / "sub-0" / "motion" / "tracking.json").write_text(
+        compared(home / f"sub-{i}", 0.2 + 0.2 * i)
+    (home / "sub-0" / "motion").mkdir()
+    (home / "sub-0" / "motion" / "tracking.json").write_text(
         json.dumps({"times": [0.1 * i for i in range(10)], "voxel_mm": [0.4, 0.4, 0.8]})
     )
     outcomes = [Outcome(f"sub-{i}", "done", "", "", {"mesh": 2.0, "calibrate": 5.0}) for i in (0, 1)]
     outcomes.append(Outcome("sub-2", "failed", "mesh", "no atrium", {}))
-    summary = write_summary(study, patients, outcomes)
+    summary = write_summary(home, patients, outcomes)
     assert (summary["patients"], summary["done"], summary["failed"]) == (3, 2, ["sub-2"])
     regional = summary["models"][0]
     # .2 and .4: mean .3, sd .2 / sqrt 2
@@ -143,28 +228,28 @@ def test_the_tables_hold_who_is_done_and_say_who_is_not(tmp_path: Path) -> None:
     assert regional["rmse_mean_mm"] == pytest.approx(0.3) and regional["rmse_sd_mm"] == pytest.approx(0.2 / np.sqrt(2.0))
     # 2 effective parameters in each; -4 + -4, sqrt 2
     assert [regional[key] for key in ("p_loo_mean", "p_loo_sd", "elpd", "elpd_se")] == pytest.approx([2.0, 0.0, -8.0, 2.0**0.5])
-    people = pd.read_csv(study / PATIENTS)
+    people = pd.read_csv(home / PATIENTS)
     assert people["frames"].tolist()[0] == 10 and people["voxel_mm"].tolist()[0] == 0.8 and people["frames"].isna().tolist()[1:]
     assert people["cpu_s"].tolist() == [7.0, 7.0, 0.0] and people["reason"].tolist()[2] == "no atrium"
-    table = pd.read_csv(study / REGIONS)
+    table = pd.read_csv(home / REGIONS)
     assert len(table) == 10 and set(table["region"]) == set(BODY_REGIONS)
-    draws = pd.read_csv(study / "draws.csv")
+    draws = pd.read_csv(home / "draws.csv")
     assert len(draws) == 2 * 5 * 200 and set(draws["draw"]) == set(range(200))
-    assert median_cpu_s(study) == (20.0, None)
+    assert median_cpu_s(home) == (20.0, None)
     assert median_cpu_s(tmp_path / "nowhere") == (None, None)
     # of one patient whose runs were carried by cheap ones, those are the dear ones
-    (study / "sub-0" / "calibration" / "runs_cheap.csv").write_text("cpu_s\n1.0\n2.0\n3.0\n")
-    assert median_cpu_s(study) == (3.0, 20.0)  # of 1, 2, 3 and the other patient's 10, 30
+    (home / "sub-0" / "calibration" / "runs_cheap.csv").write_text("cpu_s\n1.0\n2.0\n3.0\n")
+    assert median_cpu_s(home) == (3.0, 20.0)  # of 1, 2, 3 and the other patient's 10, 30
 
-    features = pd.read_csv(study / "features.csv").set_index("feature")
+    features = pd.read_csv(home / "features.csv").set_index("feature")
     # emulated 5, targets 5 to 9, the same in both patients: no spread; sd .2
     assert features.loc["d_roof_mm", ["rmse", "sd", "rmse_in_sd"]].tolist() == pytest.approx([4.0, 0.0, 20.0])
-    (contrast,) = pd.read_csv(study / "contrasts.csv").to_dict("records")
+    (contrast,) = pd.read_csv(home / "contrasts.csv").to_dict("records")
     # 2 + 4 nats, sqrt(.3^2 + .3^2): beyond 3 + 2 se
     assert contrast["log_evidence"] == pytest.approx(6.0) and contrast["se"] == pytest.approx(0.3 * np.sqrt(2.0))
     assert contrast["verdict"] == "regional is strongly preferred" and contrast["prefer_model"] == 0
 
-    made = study_pages.study_page(study, tmp_path)
+    made = study_pages.study_page(home, tmp_path)
     assert made.lead == "2 of 3 participants done."
     titles = [section.title for section in made.sections]
     assert titles[:3] == ["Participants", "Models", "Fits"]
@@ -172,10 +257,10 @@ def test_the_tables_hold_who_is_done_and_say_who_is_not(tmp_path: Path) -> None:
     assert ("age", "3", "61 ± 1", "60 to 62", "") in shown
     assert ("regional", "2", "0.3", "0.141", "2", "0", "-8", "1.41") in shown
     assert ("d_roof_mm", "2", "4", "0", "20") in shown and any("regional is strongly preferred" in row for row in shown)
-    (study / SUMMARY).write_text("{}")
+    (home / SUMMARY).write_text("{}")
     with pytest.raises(InputError, match="not a study's summary"):
-        study_pages.study_page(study, tmp_path)
-    for path in (study / MODELS, study / SUMMARY):
+        study_pages.study_page(home, tmp_path)
+    for path in (home / MODELS, home / SUMMARY):
         path.unlink()
     with pytest.raises(InputError, match="is this the folder of"):
-        study_pages.study_page(study, tmp_path)
+        study_pages.study_page(home, tmp_path)
