@@ -13,7 +13,7 @@ from lacli.base.errors import InputError, LacliError, UsageError
 if TYPE_CHECKING:
     from lacli.api.progress import Cancel, OnProgress
     from lacli.cohort.participants import Participant
-    from lacli.cohort.steps import Step
+    from lacli.cohort.steps import Settings, Step
     from lacli.cohort.study import Outcome, Planned
     from lacli.contracts.scene import Scene
 
@@ -56,11 +56,12 @@ def run_cohort(
     """Every patient of a table: mesh, fat, track, calibrate, compare, as far as it has the files, and the tables.
 
     Each step is a call of ``lacli`` in a process of its own; what is done is found again by content. only: these patients (the
-    tables hold all that are done, in the units of their columns' names). A patient who fails is an outcome. scheduler: address
-    of a Dask scheduler, whose workers take a patient each and see the same files; slurm: such workers as SLURM jobs of the
-    settings' ``[slurm]``. dry_run: steps, their state and cost are told, nothing is run; script: neither, and a SLURM array
-    script, a task a patient, is written there. Raises TableError, UsageError, InputError before anything is run, StorageError,
-    Cancelled, LacliError where the scheduler is lost (what is done is kept).
+    tables hold all that are done, from what they would be done from now, in the units of their columns' names; who is not any
+    more is told in the notes). A patient who fails is an outcome. scheduler: address of a Dask scheduler, whose workers take a
+    patient each and see the same files; slurm: such workers as SLURM jobs of the settings' ``[slurm]``. dry_run: steps, their
+    state and cost are told, nothing is run; script: neither, and a SLURM array script, a task a patient, is written there.
+    Raises TableError, UsageError, InputError before anything is run, StorageError, Cancelled, LacliError where the scheduler is
+    lost (what is done is kept).
     """
     from lacli.base.files import check_folder
     from lacli.cohort.study import planned
@@ -88,7 +89,8 @@ def run_cohort(
         found = _on_cluster(chosen, home, scheduler, progress, cancel)
     else:
         found = _here(chosen, home, progress, cancel)
-    outcomes, summary = _gathered(participants, folder, {outcome.participant_id: outcome for outcome in found})
+    by_name = {outcome.participant_id: outcome for outcome in found}
+    outcomes, summary = _gathered(participants, folder, scene, settings, by_name)
     return Cohort(steps, cost, outcomes, summary)
 
 
@@ -168,18 +170,52 @@ def _slurm_folder(home: Path) -> Path:
     return logs
 
 
-def _gathered(participants: Path, folder: Path, outcomes: dict[str, Outcome]) -> tuple[tuple[Outcome, ...], dict[str, Any]]:
-    """With those of earlier calls, in the table's order, and the study's tables and summary."""
-    from lacli.cohort.analysis.summary import write_summary
-    from lacli.cohort.participants import read_participants
-    from lacli.cohort.study import known_outcome
+def _gathered(
+    participants: Path, folder: Path, scene: Path | None, settings: Path | None, outcomes: dict[str, Outcome]
+) -> tuple[tuple[Outcome, ...], dict[str, Any]]:
+    """With those of earlier calls, in the table's order, and the study's tables and summary.
 
-    every, home = read_participants(participants), folder.absolute()
-    for patient in every:
-        if patient.identifier not in outcomes and (known := known_outcome(home / patient.identifier)) is not None:
-            outcomes[patient.identifier] = known
-    ordered = tuple(outcomes[p.identifier] for p in every if p.identifier in outcomes)
-    return ordered, write_summary(folder, every, ordered)
+    Of tasks that end at one time, one gathers and writes after the other: the last has seen them all.
+    """
+    from lacli.base.processes.locks import working_on
+    from lacli.cohort.analysis.summary import write_summary
+    from lacli.cohort.files import SUMMARY
+    from lacli.cohort.participants import read_participants
+    from lacli.cohort.steps import read_settings
+
+    every, shared, notes = read_participants(participants), read_settings(settings), list[str]()
+    with working_on(folder / SUMMARY):
+        for patient in every:
+            if patient.identifier in outcomes:
+                continue
+            known, words = _earlier(patient, shared, folder.absolute() / patient.identifier, _absolute(scene))
+            if known is not None:
+                outcomes[patient.identifier] = known
+            notes += [words] if words else []
+        ordered = tuple(outcomes[p.identifier] for p in every if p.identifier in outcomes)
+        return write_summary(folder, every, ordered, notes)
+
+
+def _earlier(patient: Participant, shared: Settings, folder: Path, scene: Path | None) -> tuple[Outcome | None, str]:
+    """What an earlier call left of a patient, and, where its results are no longer those of its inputs, a word on that alone."""
+    from lacli.cohort.steps import steps_of
+    from lacli.cohort.study import DONE, known_outcome, planned
+
+    again, name = "run the study again. The tables are without it", patient.identifier
+    try:
+        known = known_outcome(folder)
+        if known is None or known.status != "done":
+            return known, ""
+        rows = planned(patient, steps_of(patient, shared, folder, scene), folder)
+    except LacliError as error:
+        what = "was done from other inputs" if isinstance(error, UsageError) else "has files that cannot be read"
+        return None, f"{name} {what}: {again} ({str(error).rstrip('.')})."
+    lost = [row.step for row in rows if row.state != DONE]
+    return (None, f"{name} is not done any more ({', '.join(lost)}): {again}.") if lost else (known, "")
+
+
+def _absolute(scene: Path | None) -> Path | None:
+    return None if scene is None else scene.absolute()
 
 
 def _cost(chosen: Patients, rows: Sequence[Planned], folder: Path, settings: Path | None) -> dict[str, Any]:
@@ -262,6 +298,6 @@ def _patients(participants: Path, folder: Path, scene: Path | None, settings: Pa
     if missing:
         raise UsageError(f"{participants}: no participant {', '.join(missing)}.")
     check_targets(every, participants)
-    own = None if scene is None else scene.absolute()
+    own = _absolute(scene)
     chosen = [p for p in every if not only or p.identifier in only]
     return [(p, steps_of(p, shared, folder.absolute() / p.identifier, own)) for p in chosen]

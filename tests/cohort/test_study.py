@@ -14,15 +14,19 @@ import pandas as pd
 import pytest
 from chains import chain_of
 
+from lacli.api.cohort import run_cohort
 from lacli.base.errors import Cancelled, InputError, UsageError
+from lacli.base.processes.locks import lock
 from lacli.cohort import page as study_pages
 from lacli.cohort import study
+from lacli.cohort.analysis import summary as summaries
 from lacli.cohort.analysis.summary import median_cpu_s, write_summary
 from lacli.cohort.files import MODELS, PATIENTS, REGIONS, SUMMARY
 from lacli.cohort.participants import Participant, read_participants
 from lacli.cohort.steps import Step
 from lacli.cohort.study import Outcome, content_digest, known_outcome, planned, run
 from lacli.contracts.labels import BODY_REGIONS
+from lacli.contracts.targets import Targets, write_targets
 from lacli.inference.sampling.posterior import save_chain
 
 
@@ -220,7 +224,8 @@ def test_the_tables_hold_who_is_done_and_say_who_is_not(tmp_path: Path) -> None:
     )
     outcomes = [Outcome(f"sub-{i}", "done", "", "", {"mesh": 2.0, "calibrate": 5.0}) for i in (0, 1)]
     outcomes.append(Outcome("sub-2", "failed", "mesh", "no atrium", {}))
-    summary = write_summary(home, patients, outcomes)
+    told, summary = write_summary(home, patients, outcomes)
+    assert told == tuple(outcomes)
     assert (summary["patients"], summary["done"], summary["failed"]) == (3, 2, ["sub-2"])
     regional = summary["models"][0]
     # .2 and .4: mean .3, sd .2 / sqrt 2
@@ -264,3 +269,61 @@ def test_the_tables_hold_who_is_done_and_say_who_is_not(tmp_path: Path) -> None:
         path.unlink()
     with pytest.raises(InputError, match="is this the folder of"):
         study_pages.study_page(home, tmp_path)
+
+
+def test_who_is_not_done_from_these_inputs_any_more_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of three, one has a bundle that cannot be read, which is its own failure; of those not chosen, the marks are judged."""
+    home, table, names = tmp_path / "study", tmp_path / "p.csv", ("sub-1", "sub-2", "sub-3")
+    ended = SimpleNamespace(cut=None, exit_code=0, cpu_s=1.0, wall_s=1.0, last_lines=())
+    monkeypatch.setattr(study, "supervise", lambda command, **_: ended)
+    for name in names:
+        compared(home / name, 0.3)  # as the steps would leave it
+        write_targets(tmp_path / f"{name}.toml", Targets(("d_roof_mm",), np.array([5.0]), np.array([0.2])))
+    (tmp_path / "runs.csv").write_text("x")
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "wall.vtu").write_text("no mesh")
+    rows = [f"{name},runs.csv,{name}.toml,{'broken' if name == 'sub-3' else 'n/a'}\n" for name in names]
+    table.write_text("participant_id,table,targets,bundle\n" + "".join(rows))
+
+    def told(*only: str) -> tuple[dict[str, str], list[str], set[str]]:
+        found = run_cohort(table, home, only=only)
+        kept = set(pd.read_csv(home / REGIONS)["participant_id"])
+        notes = [note for note in found.summary["notes"] if note.startswith("sub-")]
+        return {o.participant_id: o.status for o in found.outcomes}, notes, kept
+
+    of_all = {"sub-1": "done", "sub-2": "done", "sub-3": "failed"}
+    assert told() == told("sub-1") == (of_all, [], {"sub-1", "sub-2"})
+    people = pd.read_csv(home / PATIENTS).set_index("participant_id")
+    assert people.loc["sub-3", "step"] == "summary" and "broken" in people.loc["sub-3", "reason"]
+
+    given = (tmp_path / "sub-2.toml").read_text()
+    (tmp_path / "sub-2.toml").write_text(given + "# another\n")
+    statuses, notes, kept = told("sub-1")
+    assert statuses == {"sub-1": "done", "sub-3": "failed"} and kept == {"sub-1"}
+    assert len(notes) == 1 and notes[0].startswith("sub-2 was done from other inputs: run the study again.")
+    (tmp_path / "sub-2.toml").write_text(given)
+    assert told("sub-1")[0] == of_all
+
+    (home / "sub-2" / "calibration" / "result.json").unlink()
+    statuses, notes, kept = told("sub-1")
+    assert kept == {"sub-1"} and notes[0].startswith("sub-2 is not done any more (calibrate, compare): run the study again.")
+    (home / "sub-2" / "status.json").write_text("[")
+    assert told("sub-1")[1][0].startswith("sub-2 has files that cannot be read")
+
+
+def test_tables_are_gathered_and_written_by_one_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    table, held = tmp_path / "p.csv", list[bool]()
+    for name in ("t.toml", "runs.csv"):
+        (tmp_path / name).write_text("x")
+    write_targets(tmp_path / "t.toml", Targets(("d_roof_mm",), np.array([5.0]), np.array([0.2])))
+    table.write_text("participant_id,table,targets\nsub-1,runs.csv,t.toml\n")
+
+    def write(*_: Any) -> tuple[tuple[Outcome, ...], dict[str, Any]]:
+        with lock(tmp_path / "study" / f".lock-{SUMMARY}", "", wait=False) as got:
+            held.append(not got)
+        return (), {}
+
+    monkeypatch.setattr(study, "supervise", lambda command, **_: SimpleNamespace(cut="cut", exit_code=1, last_lines=("no",)))
+    monkeypatch.setattr(summaries, "write_summary", write)
+    run_cohort(table, tmp_path / "study")
+    assert held == [True] and not list((tmp_path / "study").glob(".lock*"))

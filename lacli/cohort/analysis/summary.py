@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,7 @@ import pandas as pd
 
 from lacli.base.arrays import FloatArray
 from lacli.base.documents import read_json
+from lacli.base.errors import InputError, UsageError
 from lacli.base.files import replacing, write_json
 from lacli.cohort.analysis.convergence import convergence
 from lacli.cohort.analysis.fits import (
@@ -58,85 +61,126 @@ from lacli.contracts.targets import Targets, read_targets
 _DRAWS = 200
 
 
-def write_summary(study: Path, participants: Sequence[Participant], outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """Write the tables of all patients that are done; what is left out is said in ``notes``. Raises StorageError, InputError."""
-    done = {o.participant_id for o in outcomes if o.status == "done"}
-    notes: list[str] = []
-    regions, draws, models = [], [], []
-    results, contrasts, anatomies = {}, {}, []
-    given: dict[str, Targets] = {}
-    moved: list[dict[str, Any]] = []
-    made: list[dict[str, Any]] = []
-    scored: list[dict[str, Any]] = []
-    seen: list[dict[str, Any]] = []
-    walled: list[dict[str, Any]] = []
-    converged: list[dict[str, Any]] = []
-    for patient in participants:
-        if patient.identifier not in done:
-            continue
-        folder = study / patient.identifier
-        result = results[patient.identifier] = read_json(folder / "calibration" / "result.json")
-        if any(row.get("own_sd") for row in result["fit"]):
-            given[patient.identifier] = read_targets(patient.paths.get("targets", folder / "motion" / "targets.toml"))
-        contrasts[patient.identifier] = read_contrasts(folder)
-        anatomy = read_anatomy(patient.paths.get("bundle", folder / "anatomy"), patient.identifier)
-        fat = _fat(folder)
-        if anatomy is not None:
-            anatomies.append(_of_anatomy(patient, anatomy, fat, study))
-            converged += convergence(patient.identifier, anatomy.bundle, result)
-        own = courses(patient.identifier, result, None if anatomy is None else anatomy.es_time)
-        moved += own
-        seen += transients(patient.identifier, folder, result, own)
-        scored += scores(patient.identifier, result)
-        walled += walls(patient.identifier, anatomy, fat)
-        made += influences(patient.identifier, folder / "calibration", result)
-        regions += _regions(patient, result, {} if anatomy is None else anatomy.laplace_mm, fat.get("standard", {}))
-        draws += _draws(patient, folder)
-        for fit in read_json(folder / "comparison.json")["fits"]:
-            models.append({"participant_id": patient.identifier, **fit})
-    table = pd.DataFrame(regions)
-    partial = [name for name in table.columns if table[name].isna().any()]
-    if partial:
-        notes.append(f"regions.csv lacks {', '.join(partial)}: not every patient has them.")
-    table = table.drop(columns=partial)
+Rows = list[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class _Patient:
+    """What one patient's folder has for the study's tables: the calibration's result, its targets where errors are told in two
+    parts, and rows."""
+
+    result: dict[str, Any]
+    given: Targets | None
+    contrasts: Rows
+    anatomies: Rows
+    convergence: Rows
+    courses: Rows
+    transients: Rows
+    scores: Rows
+    walls: Rows
+    influences: Rows
+    regions: Rows
+    draws: Rows
+    models: Rows
+
+
+def write_summary(
+    study: Path, participants: Sequence[Participant], outcomes: Sequence[Outcome], notes: Sequence[str] = ()
+) -> tuple[tuple[Outcome, ...], dict[str, Any]]:
+    """Write the tables of all patients that are done; what is left out is said in ``notes``, after those given.
+
+    Gives the outcomes as well: a patient whose results cannot be read has failed. Raises StorageError.
+    """
     state = {o.participant_id: o for o in outcomes}
-    people = [
-        {"participant_id": p.identifier, "status": state[p.identifier].status, "step": state[p.identifier].step,
-         "reason": state[p.identifier].reason, "cpu_s": sum(state[p.identifier].cpu_s.values()),
-         **_tracked(study / p.identifier), **p.others}
-        for p in participants if p.identifier in state
-    ]  # fmt: skip
-    for name, frame in (
-        (PATIENTS, pd.DataFrame(people)),
-        (REGIONS, table),
-        (DRAWS, pd.DataFrame(draws)),
-        (MODELS, pd.DataFrame(models)),
-        (FEATURES, pd.DataFrame(over_features(results))),
-        (WAVES, pd.DataFrame(over_waves(results))),
-        (CONTRASTS, pd.DataFrame(over_contrasts(contrasts))),
-        (ANATOMIES, pd.DataFrame(anatomies)),
-        (COURSES, pd.DataFrame(moved)),
-        (FRAMES, pd.DataFrame(over_frames(moved))),
-        (DISCRETISATION, pd.DataFrame(over_numerics(results, given))),
-        (OUTPUTS, pd.DataFrame(over_outputs(scored))),
-        (SCORES, pd.DataFrame(scored)),
-        (TRANSIENTS, pd.DataFrame(seen)),
-        (MISFITS, pd.DataFrame(over_transients(seen))),
-        (WALLS, pd.DataFrame(walled)),
-        (CONVERGENCE, pd.DataFrame(converged)),
-        (INFLUENCES, pd.DataFrame(made)),
-    ):
+    read: dict[str, _Patient] = {}
+    for patient in participants:
+        name = patient.identifier
+        if name not in state or state[name].status != "done":
+            continue
+        try:
+            read[name] = _read(study, patient)
+        except (InputError, UsageError) as error:
+            state[name] = replace(state[name], status="failed", step="summary", reason=str(error))
+    found = tuple(state.values())
+    table, partial = _complete([row for of in read.values() for row in of.regions])
+    said = [*notes, *([f"regions.csv lacks {', '.join(partial)}: not every patient has them."] if partial else [])]
+    people = [_person(p, state[p.identifier], study) for p in participants if p.identifier in state]
+    models = [row for of in read.values() for row in of.models]
+    for name, frame in {PATIENTS: pd.DataFrame(people), REGIONS: table, **_tables(read)}.items():
         if frame.empty:
             (study / name).unlink(missing_ok=True)  # an earlier call's would show another result
             continue
         with replacing(study / name) as temporary:
             frame.to_csv(temporary, index=False)
     summary = {
-        "patients": len(people), "done": len(done), "failed": [o.participant_id for o in outcomes if o.status == "failed"],
-        "models": _over_patients(models), "notes": notes,
+        "patients": len(people), "done": len(read), "failed": [o.participant_id for o in found if o.status == "failed"],
+        "models": _over_patients(models), "notes": said,
     }  # fmt: skip
     write_json(study / SUMMARY, summary)
-    return summary
+    return found, summary
+
+
+def _read(study: Path, patient: Participant) -> _Patient:
+    """Raises InputError, UsageError where something of it is missing or damaged."""
+    name, folder = patient.identifier, study / patient.identifier
+    result = read_json(folder / "calibration" / "result.json")
+    in_two = any(row.get("own_sd") for row in result["fit"])
+    anatomy = read_anatomy(patient.paths.get("bundle", folder / "anatomy"), name)
+    fat = _fat(folder)
+    own = courses(name, result, None if anatomy is None else anatomy.es_time)
+    _tracked(folder)
+    return _Patient(
+        result,
+        read_targets(patient.paths.get("targets", folder / "motion" / "targets.toml")) if in_two else None,
+        read_contrasts(folder),
+        [] if anatomy is None else [_of_anatomy(patient, anatomy, fat, study)],
+        [] if anatomy is None else convergence(name, anatomy.bundle, result),
+        own,
+        transients(name, folder, result, own),
+        scores(name, result),
+        walls(name, anatomy, fat),
+        influences(name, folder / "calibration", result),
+        _regions(patient, result, {} if anatomy is None else anatomy.laplace_mm, fat.get("standard", {})),
+        _draws(patient, folder),
+        [{"participant_id": name, **fit} for fit in read_json(folder / "comparison.json")["fits"]],
+    )
+
+
+def _tables(read: Mapping[str, _Patient]) -> dict[str, pd.DataFrame]:
+    """The tables over the patients and by patient, by their files' names."""
+
+    def rows(key: str) -> Rows:
+        return [row for of in read.values() for row in getattr(of, key)]
+
+    results = {name: of.result for name, of in read.items()}
+    given = {name: of.given for name, of in read.items() if of.given is not None}
+    found = {
+        DRAWS: rows("draws"), MODELS: rows("models"), FEATURES: over_features(results), WAVES: over_waves(results),
+        CONTRASTS: over_contrasts({name: of.contrasts for name, of in read.items()}), ANATOMIES: rows("anatomies"),
+        COURSES: rows("courses"), FRAMES: over_frames(rows("courses")), DISCRETISATION: over_numerics(results, given),
+        OUTPUTS: over_outputs(rows("scores")), SCORES: rows("scores"), TRANSIENTS: rows("transients"),
+        MISFITS: over_transients(rows("transients")), WALLS: rows("walls"), CONVERGENCE: rows("convergence"),
+        INFLUENCES: rows("influences"),
+    }  # fmt: skip
+    return {name: pd.DataFrame(of) for name, of in found.items()}
+
+
+def _complete(regions: Rows) -> tuple[pd.DataFrame, list[str]]:
+    """The table of regions without the columns that a patient lacks, and these."""
+    table = pd.DataFrame(regions)
+    partial = [name for name in table.columns if table[name].isna().any()]
+    return table.drop(columns=partial), partial
+
+
+def _person(patient: Participant, outcome: Outcome, study: Path) -> dict[str, Any]:
+    """A participant's row."""
+    tracked: dict[str, Any] = {}
+    with contextlib.suppress(InputError):  # of one who failed; of others it has been read
+        tracked = _tracked(study / patient.identifier)
+    return {
+        "participant_id": patient.identifier, "status": outcome.status, "step": outcome.step, "reason": outcome.reason,
+        "cpu_s": sum(outcome.cpu_s.values()), **tracked, **patient.others,
+    }  # fmt: skip
 
 
 def median_cpu_s(study: Path) -> tuple[float | None, float | None]:
