@@ -18,6 +18,7 @@ import numpy as np
 
 from lacli.anatomy import build, quality
 from lacli.anatomy.build import Built, Options, Say
+from lacli.anatomy.bundle_folder import check_replaceable
 from lacli.anatomy.inputs import image, labelled
 from lacli.anatomy.inputs.meshes import anything, meshfile, surfacefile
 from lacli.anatomy.opening_pictures import draw_readings
@@ -98,7 +99,7 @@ def check_new(folder: Path, also: Sequence[Path]) -> None:
     """Before the work: nothing else stands in the bundle's place, and the other files can be written."""
     if folder.exists() and any(folder.iterdir()) and not (folder / "wall.vtu").is_file():
         raise UsageError(f"{folder}: the folder exists and holds something else than a bundle; choose another --out.")
-    contract.check_replaceable(folder)
+    check_replaceable(folder)
     for path in also:
         meshfile.check_ending(path)
         if not path.absolute().parent.is_dir() or not os.access(path.absolute().parent, os.W_OK | os.X_OK):

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from lacli.anatomy import opening_pictures, pictures
+from lacli.anatomy.bundle_folder import PICTURES
 from lacli.anatomy.wall.thickness import Thickness, of_bundle
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.labels import REGIONS, RINGS
@@ -98,18 +99,17 @@ def draw(folder: Path) -> Iterator[str]:
 
     bundle = load(folder)
     thick = of_bundle(bundle)
-    opening_pictures.bundle_picture(bundle, folder / "openings.png")
-    yield "openings.png"
-    pictures.square(bundle, folder / "uac.png")
-    yield "uac.png"
-    pictures.regions(bundle, folder / "regions.png")
-    yield "regions.png"
-    pictures.fibres(bundle, folder / "fibres.png")
-    yield "fibres.png"
-    pictures.thickness(bundle, thick.ids, thick.eikonal, folder / "thickness.png")
-    yield "thickness.png"
-    pictures.cuts(bundle, folder / "cuts.png")
-    yield "cuts.png"
+    drawings: dict[str, Callable[[Path], None]] = {
+        "openings.png": lambda file: opening_pictures.bundle_picture(bundle, file),
+        "uac.png": lambda file: pictures.square(bundle, file),
+        "regions.png": lambda file: pictures.regions(bundle, file),
+        "fibres.png": lambda file: pictures.fibres(bundle, file),
+        "thickness.png": lambda file: pictures.thickness(bundle, thick.ids, thick.eikonal, file),
+        "cuts.png": lambda file: pictures.cuts(bundle, file),
+    }
+    for name in PICTURES:
+        drawings[name](folder / name)
+        yield name
 
 
 if __name__ == "__main__":

@@ -23,13 +23,6 @@ from lacli.geometry.tetrahedra import volumes as cell_volumes
 LEAST_CAVITY_ML, MOST_CAVITY_ML = 0.9, 1500.0
 FURTHEST_MM = 1e5
 SAME_POINT_MM = 0.01
-# what we put into a bundle's folder: all of it is made again with the bundle, or of no use to a new one
-_OURS = frozenset(
-    [
-        *("wall.vtu", "boundary.vtp", "anatomy.json", "motion.npz", "accuracy.json", "landmarks.toml", "labels.nrrd", "ct.nrrd"),
-        *("quality.json", "quality.txt", "uac.png", "regions.png", "fibres.png", "thickness.png", "cuts.png"),
-    ]
-)
 
 
 @dataclass(frozen=True)
@@ -74,19 +67,6 @@ class Bundle:
         wall = self.tets[~is_plane(self.region)]
         corners, _ = boundary_faces(wall)
         return enclosed_volume_ml(corners if self.order == 1 else _with_middles(corners, wall), self.points)
-
-
-def check_replaceable(folder: Path) -> None:
-    """Before a new bundle takes the folder's place: AnatomyError where files of somebody else would go with the old one."""
-    others = (
-        sorted(p.name for p in folder.iterdir() if not (p.name in _OURS or p.name.startswith(".part-")))
-        if folder.is_dir()
-        else []
-    )
-    if others:
-        raise AnatomyError(
-            f"{folder}: also holds {', '.join(others)}, and would be replaced whole; move that away, or choose another folder."
-        )
 
 
 def save(bundle: Bundle, folder: Path) -> None:

@@ -8,11 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from lacli.anatomy.bundle_folder import check_replaceable
 from lacli.anatomy.inputs.image import write
 from lacli.base.documents import read_json
 from lacli.base.errors import AnatomyError, InputError
 from lacli.base.files import write_json
-from lacli.contracts.bundle import check, check_replaceable, save
+from lacli.contracts.bundle import check, save
 from lacli.contracts.motion import save_motion
 from lacli.synthetic import kept
 from lacli.synthetic.atrium import synthesize

@@ -13,13 +13,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from lacli.anatomy.bundle_folder import check_replaceable
 from lacli.anatomy.inputs import image as images
 from lacli.anatomy.surface_features import Endocardium
 from lacli.base.arrays import FloatArray
 from lacli.base.documents import read_json
 from lacli.base.errors import AnatomyError
 from lacli.base.files import write_json, write_text
-from lacli.contracts.bundle import Bundle, check_replaceable, load, save
+from lacli.contracts.bundle import Bundle, load, save
 from lacli.contracts.motion import save_motion
 from lacli.contracts.scene import dump_scene
 from lacli.motion.annulus import annulus_points, descend
