@@ -18,7 +18,7 @@ import numpy as np
 
 from lacli.anatomy import build, quality
 from lacli.anatomy.build import Built, Options, Say
-from lacli.anatomy.bundle_folder import check_replaceable
+from lacli.anatomy.bundle_folder import check_inputs, check_replaceable
 from lacli.anatomy.inputs import image, labelled
 from lacli.anatomy.inputs.meshes import anything, meshfile, surfacefile
 from lacli.anatomy.opening_pictures import draw_readings
@@ -95,11 +95,12 @@ def storing(folder: Path) -> Iterator[None]:
         raise StorageError(f"{folder}: cannot be written ({reason}: {error.filename}); nothing was left there.") from error
 
 
-def check_new(folder: Path, also: Sequence[Path]) -> None:
-    """Before the work: nothing else stands in the bundle's place, and the other files can be written."""
+def check_new(folder: Path, also: Sequence[Path], inputs: Sequence[Path]) -> None:
+    """Before the work: nothing else stands in the bundle's place, no input either, and the other files can be written."""
     if folder.exists() and any(folder.iterdir()) and not (folder / "wall.vtu").is_file():
         raise UsageError(f"{folder}: the folder exists and holds something else than a bundle; choose another --out.")
-    check_replaceable(folder)
+    check_inputs(folder, inputs, also)
+    check_replaceable(folder, [path.name for path in also if path.resolve().parent == folder.resolve()])
     for path in also:
         meshfile.check_ending(path)
         if not path.absolute().parent.is_dir() or not os.access(path.absolute().parent, os.W_OK | os.X_OK):

@@ -77,7 +77,8 @@ def mesh(
     options = Options(cell_size_mm, thickness_mm, order, ring_width_mm, rule, smoothing_mm, layers, accept_low_confidence)
     meshing.check_options(options, frame, unit)
     check_folder(folder)
-    meshing.check_new(folder, also)
+    # landmarks may lie there: they are written again, with what they say
+    meshing.check_new(folder, also, [source] if own is None else [source, own])
     own_fibres = None if own is None else meshfile.read_fibres(own)
     start = time.process_time()
     stage = Stage("reading", meshing.STEPS, progress, cancel).begin()

@@ -6,10 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from lacli.anatomy.bundle_folder import FILES as FILES
 from lacli.base.errors import AnatomyError
 from lacli.contracts.identity import file_digest
-
-FILES = "files"
 
 
 def digests(folder: Path, description: str) -> dict[str, str]:

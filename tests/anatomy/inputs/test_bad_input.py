@@ -56,6 +56,9 @@ def test_other_files_and_folders_are_looked_at_before_the_work(labels: Path, tmp
     assert "something else than a bundle" in str(refused(f"mesh {labels} --la 2 --out {tmp_path}/mine"))
     (tmp_path / "mine" / "wall.vtu").write_text("a bundle")
     assert "mine: also holds notes.txt" in str(refused(f"mesh {labels} --la 2 --out {tmp_path}/mine"))
+    (tmp_path / "mine" / "notes.txt").rename(tmp_path / "mine" / "labels.nrrd")
+    error = refused(f"mesh {tmp_path}/mine/labels.nrrd --la 2 --out {tmp_path}/mine")
+    assert "mine/labels.nrrd: lies in" in str(error) and (tmp_path / "mine" / "labels.nrrd").read_text() == "keep"
     assert "no such file" in str(refused(f"mesh {labels} --la 2 --out {tmp_path}/a --fibres {tmp_path}/none.vtu"))
     assert not (tmp_path / "a").exists()
 
