@@ -56,6 +56,7 @@ SD_STRAIN = 0.05
 THIN_MM, THICK_MM = 1.2, 3.2
 _MEAN_SD, _AROUND_SD = 0.25, 0.4  # of log alpha: between patients, and between a patient's regions
 _STREAM = 20260417
+_OF_MOTION = ("targets", "sd_strain")  # in a description only where targets are not the published ones
 
 
 def drawn_parameters(seed: int, arm: Arm) -> dict[str, float]:
@@ -147,7 +148,7 @@ def _finished(folder: Path, made_from: dict[str, Any]) -> dict[str, Any] | None:
     if not (folder / DESCRIPTION).is_file():
         raise AnatomyError(f"{folder} exists and is no patient of a synthetic cohort; choose another folder or remove it.")
     info = read_json(folder / DESCRIPTION, error=AnatomyError)
-    if not isinstance(info, dict) or any(info.get(name) != value for name, value in made_from.items()):
+    if not isinstance(info, dict) or any(info.get(name) != made_from.get(name) for name in (*made_from, *_OF_MOTION)):
         raise AnatomyError(f"{folder} was made from another arm or other options; choose another folder or remove it.")
     kept.check(folder, info)
     return info

@@ -74,6 +74,7 @@ def write_patient(
     """
     parameters = {**cycle.draw_parameters(seed), **given}
     made_from = {"seed": seed, "atrium": atrium, "acquisition": asdict(acquisition), "parameters": parameters}
+    made_from["heart_rate_bpm"] = heart_rate
     info = finished(folder, made_from)
     if info is None:
         info = write_case(folder, seed, atrium, parameters, acquisition, heart_rate, monitor)

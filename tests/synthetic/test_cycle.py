@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -83,3 +84,13 @@ def test_a_folder_of_something_else_is_never_replaced(tmp_path: Path) -> None:
     assert gated_case.finished(tmp_path / "p", {"seed": 1}) is not None
     with pytest.raises(AnatomyError, match="made from other options"):
         gated_case.finished(tmp_path / "p", {"seed": 2})
+
+
+def test_a_patient_of_another_heart_rate_is_not_kept(tmp_path: Path) -> None:
+    acquisition = gated.Acquisition()
+    made_from = {"seed": 1, "atrium": {}, "acquisition": asdict(acquisition), "parameters": cycle.draw_parameters(1)}
+    (tmp_path / gated_case.DESCRIPTION).write_text(json.dumps({**made_from, "heart_rate_bpm": 65.0}))
+    again = gated_case.write_patient(tmp_path, 1, {}, {}, acquisition, 65.0, lambda *_: None)
+    assert again["heart_rate_bpm"] == 65.0
+    with pytest.raises(AnatomyError, match="made from other options"):
+        gated_case.write_patient(tmp_path, 1, {}, {}, acquisition, 80.0, lambda *_: None)

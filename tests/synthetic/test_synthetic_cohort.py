@@ -55,6 +55,22 @@ def test_what_cannot_be_made_is_told_first(tmp_path: Path) -> None:
     assert (tmp_path / "c" / "sub-01" / "mine.txt").read_text() == "thesis"
 
 
+def test_a_patient_with_other_targets_is_not_kept_whichever_came_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def write(folder: Path, *_: object) -> dict[str, object]:
+        folder.mkdir(parents=True)
+        (folder / "targets.toml").write_text("some")
+        return {"parameters": {}, "edv_ml": 60.0, "truth_cpu_s": 1.0}
+
+    monkeypatch.setattr(cohort, "_write", write)
+    for targets in cohort.TARGETS:
+        home = tmp_path / targets
+        for _ in range(2):
+            anatomy.synthesize(home, cohort=1, arm="control", targets=targets)
+        for other in set(cohort.TARGETS) - {targets}:
+            with pytest.raises(AnatomyError, match="was made from another arm or other options"):
+                anatomy.synthesize(home, cohort=1, arm="control", targets=other)
+
+
 @pytest.mark.slow
 def test_a_patient_is_what_a_study_reads(tmp_path: Path) -> None:
     home = tmp_path / "c"
