@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,8 @@ _LABELS_AT_MOST = 64
 _INSIDE_MM, _OUTSIDE_MM = 2.5, 3.5
 _SAME_MM = 1e-3
 FEWEST, MOST = 3, 200
+_WHOLE = re.compile(r"(\d+)")
+_DECIMAL = re.compile(r"((?<!\d)(?<!\d\.)\d+\.\d+(?!\.?\d)|\d+)")
 _FEWEST_PERCENT = 10.0  # times that end between 1 and this are of another unit
 
 
@@ -56,21 +59,33 @@ def find(paths: Sequence[Path]) -> list[Source]:
     return found
 
 
-def by_number(path: Path) -> list[Any]:
-    """Sort key of a name: its numbers by value, so that frame 10 comes after frame 9."""
-    return [int(word) if word.isdigit() else word.lower() for word in re.split(r"(\d+)", path.name)]
+def by_number(paths: Iterable[Path]) -> list[Path]:
+    """The paths by the numbers in their names, by value: 10 after 9, 0.05 before 0.4.
+
+    A dot between digits is a decimal point, unless there are several (1.2.840) or two names would then be one number: those
+    count on from a whole number (1.1 to 1.10).
+    """
+    named = sorted(paths, key=lambda path: path.name)
+    keys = [_numbers(path.name, _DECIMAL) for path in named]
+    if any(one in keys[:place] for place, one in enumerate(keys)):
+        keys = [_numbers(path.name, _WHOLE) for path in named]
+    return [named[place] for place in sorted(range(len(named)), key=keys.__getitem__)]
+
+
+def _numbers(name: str, number: re.Pattern[str]) -> list[Any]:
+    """A name as its words and, at every second place, its numbers."""
+    words = number.split(name)
+    return [float(word) if place % 2 else word.lower() for place, word in enumerate(words)]
 
 
 def _folder(folder: Path) -> list[Source]:
-    files = sorted(
-        (p for p in folder.iterdir() if p.is_file() and images.is_image(p) and p.suffix.lower() != ".img"), key=by_number
-    )
+    files = by_number(p for p in folder.iterdir() if p.is_file() and images.is_image(p) and p.suffix.lower() != ".img")
     if files:
         return [source for file in files for source in _file(file)]
     series = _series(folder)
     if series:
         return series
-    found = [s for inner in sorted((p for p in folder.iterdir() if p.is_dir()), key=by_number) for s in _series(inner)]
+    found = [s for inner in by_number(p for p in folder.iterdir() if p.is_dir()) for s in _series(inner)]
     if not found:
         raise InputError(f"{folder}: no image (.nrrd .nii .mha) and no DICOM series in it.")
     return found
@@ -86,6 +101,12 @@ def _series(folder: Path) -> list[Source]:
         if any(source.time is None for source in found):
             raise InputError(f"{folder}: holds {len(ids)} DICOM series without a cardiac phase; put each in a folder of its own.")
         found.sort(key=lambda source: source.time or 0.0)
+        tied = next(((a, b) for a, b in itertools.pairwise(found) if a.time == b.time), None)
+        if tied is not None:
+            raise InputError(
+                f"{folder}: two DICOM series have the same cardiac phase ({tied[0].time:g} of RR): {tied[0].path.name} and "
+                f"{tied[1].path.name}. Put each frame in a folder of its own, and leave out what is none."
+            )
     return found
 
 

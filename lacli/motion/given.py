@@ -33,9 +33,7 @@ def displacement(bundle: Bundle, kind: str, files: Sequence[Path], frame: str, l
     """
     if kind not in KINDS:
         raise UsageError(f"--motion {kind}: there are images, {', '.join(KINDS)}.")
-    paths = [
-        p for path in files for p in (sorted(filter(Path.is_file, path.iterdir()), key=by_number) if path.is_dir() else [path])
-    ]
+    paths = [p for path in files for p in (by_number(filter(Path.is_file, path.iterdir())) if path.is_dir() else [path])]
     if kind == "fields":
         return _from_fields(bundle, paths, frame, monitor)
     meshes = []

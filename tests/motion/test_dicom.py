@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -54,3 +55,16 @@ def test_a_dicom_series_without_one_of_its_slices_is_refused(tmp_path: Path) -> 
         framing.read(framing.Source(tmp_path / "ed"))
     dicom_series(tmp_path / "whole", volume, 2, 0.0, left_out=(0,))
     assert framing.read(framing.Source(tmp_path / "whole")).array.shape == (5, 8, 8)
+
+
+def test_series_of_one_phase_are_told_from_each_other_by_their_folders(tmp_path: Path) -> None:
+    """In one folder nothing says which comes first."""
+    volume = np.random.default_rng(0).integers(-200, 500, (4, 8, 8)).astype(np.int16)
+    for number, phase in enumerate((0.0, 40.0, 40.0)):
+        dicom_series(tmp_path / f"phase{number}", volume, number, phase)
+        (tmp_path / "all").mkdir(exist_ok=True)
+        for file in (tmp_path / f"phase{number}").iterdir():
+            shutil.copy(file, tmp_path / "all" / f"{number}_{file.name}")
+    with pytest.raises(InputError, match=r"all: two DICOM series have the same cardiac phase \(0\.4 of RR\): .* of its own"):
+        framing.find([tmp_path / "all"])
+    assert len(framing.find([tmp_path / f"phase{number}" for number in range(3)])) == 3

@@ -29,6 +29,23 @@ def test_frames_come_by_the_numbers_in_their_names(tmp_path: Path) -> None:
     assert [s.path.name for s in framing.find([tmp_path])] == ["phase_0.nrrd", "phase_1.nrrd", "phase_9.nrrd", "phase_10.nrrd"]
 
 
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["ct_0.0.nrrd", "ct_0.05.nrrd", "ct_0.1.nrrd", "ct_0.4.nrrd"],
+        ["frame2.nrrd", "frame10.nrrd"],
+        ["ct_0.nrrd", "ct_5.nrrd", "ct_10.nrrd", "ct_100.nrrd"],
+        ["p1_0.4_s2.mha", "p1_0.4_s10.mha", "p2_0.05_s1.mha", "p2_0.3_s1.mha"],
+        ["1.2.840.9", "1.2.840.10", "1.2.840.10.1"],
+        [f"ct_1.{number}.nii.gz" for number in range(1, 12)],  # as decimals 1.1 and 1.10 would be one
+        ["frame.0.05.nrrd", "frame.0.4.nrrd"],
+    ],
+)
+def test_numbers_in_names_count_by_value(names: list[str]) -> None:
+    given = [Path(name) for name in np.random.default_rng(0).permutation(names)]
+    assert [path.name for path in framing.by_number(given)] == names
+
+
 def test_frames_of_one_file_with_four_dimensions(tmp_path: Path) -> None:
     import SimpleITK as sitk
 
