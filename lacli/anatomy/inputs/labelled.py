@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from scipy import ndimage
 from lacli.anatomy.inputs.image import Image
 from lacli.anatomy.openings.candidate import PATCH, VEIN, Candidate
 from lacli.anatomy.openings.ostium import across
-from lacli.base.arrays import BoolArray
+from lacli.base.arrays import BoolArray, IntArray
 from lacli.base.errors import AnatomyError, UsageError
 
 VESSELS = {"laa": "appendage", "appendage": "appendage", "pv": VEIN} | {n: n for n in ("rspv", "ripv", "lspv", "lipv")}
@@ -100,30 +100,50 @@ def candidates(labels: Image, la: int, vessels: Mapping[int, str]) -> list[Candi
     beside = ndimage.binary_dilation(labels.array == la)
     found = []
     for value, said in vessels.items():
-        mine = labels.array == value
-        parts, count = ndimage.label(mine, structure=np.ones((3, 3, 3)))
-        pieces = [parts == k for k in range(1, count + 1)]
-        pieces = [p for p in pieces if p.sum() * labels.voxel_ml >= LEAST_ML]
-        meetings = [m for piece in pieces for m in _meetings(piece, piece & beside)]
-        made = [c for piece, contact in meetings if (c := _of_contact(labels, piece, contact, said)) is not None]
+        made = [
+            c
+            for piece, touching in _pieces(labels, value, beside)
+            for contact in _places(touching)
+            if (c := _of_contact(labels, piece, contact, said)) is not None
+        ]
         if said not in (VEIN, ""):
             made = sorted(made, key=lambda c: -c.area_mm2)[:1]
         found += made
     return found
 
 
-def _meetings(piece: BoolArray, contact: BoolArray) -> list[tuple[BoolArray, BoolArray]]:
-    """The piece of a label with each of its places of contact (two veins of one label may hang together)."""
-    parts, count = ndimage.label(contact, structure=np.ones((3, 3, 3)))
-    return [(piece, parts == k) for k in range(1, count + 1)]
+def _pieces(labels: Image, value: int, beside: BoolArray) -> Iterator[tuple[IntArray, IntArray]]:
+    """Voxels (n, 3), [k, j, i], of each connected piece of a label but specks, and those of them that touch the atrium.
+
+    Each is looked at in its own box: a map may hold hundreds of specks, and an array of the image's size for each fills memory.
+    """
+    parts, count = ndimage.label(labels.array == value, structure=np.ones((3, 3, 3)))
+    size = sum((np.bincount(slab.ravel(), minlength=count + 1) for slab in parts), np.zeros(count + 1, dtype=np.int64))
+    for k, box in enumerate(ndimage.find_objects(parts), start=1):
+        if size[k] * labels.voxel_ml >= LEAST_ML:
+            piece = parts[box] == k
+            corner = [side.start for side in box]
+            yield np.argwhere(piece) + corner, np.argwhere(piece & beside[box]) + corner
 
 
-def _of_contact(labels: Image, piece: BoolArray, contact: BoolArray, said: str) -> Candidate | None:
-    area = float(contact.sum()) * (1000.0 * labels.voxel_ml) ** (2 / 3)
+def _places(contact: IntArray) -> list[IntArray]:
+    """The connected places among voxels (n, 3) of contact (two veins of one label may hang together)."""
+    if not len(contact):
+        return []
+    low = contact.min(axis=0)
+    mask = np.zeros(contact.max(axis=0) - low + 1, dtype=bool)
+    mask[tuple((contact - low).T)] = True
+    parts, count = ndimage.label(mask, structure=np.ones((3, 3, 3)))
+    place = parts[tuple((contact - low).T)]
+    return [contact[place == k] for k in range(1, count + 1)]
+
+
+def _of_contact(labels: Image, piece: IntArray, contact: IntArray, said: str) -> Candidate | None:
+    area = float(len(contact)) * (1000.0 * labels.voxel_ml) ** (2 / 3)
     if area < LEAST_CONTACT_MM2:
         return None
-    ostium = labels.to_world(np.argwhere(contact)[:, ::-1].astype(float)).mean(axis=0)
-    vessel = labels.to_world(np.argwhere(piece)[:, ::-1].astype(float))
+    ostium = labels.to_world(contact[:, ::-1].astype(float)).mean(axis=0)
+    vessel = labels.to_world(piece[:, ::-1].astype(float))
     away = np.linalg.norm(vessel - ostium, axis=1)
     near = vessel[away < max(12.0, 0.5 * float(away.max()))]
     way = near.mean(axis=0) - ostium
