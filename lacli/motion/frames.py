@@ -185,24 +185,12 @@ def cycle_times(sources: Sequence[Source], given: Sequence[float] | None) -> tup
 
 def read(source: Source) -> Image:
     """One frame's volume. Raises InputError where it is missing, damaged or no volume."""
-    if source.index is not None:
-        return _read_one_of(source)
-    if source.path.is_file():
-        return images.read(source.path)
+    if source.index is not None or source.path.is_file():
+        try:
+            return images.read(source.path, source.index)
+        except InputError as error:  # of which frame, where a file holds several
+            raise InputError(str(error).replace(str(source.path), str(source), 1)) from None
     return _read_series(source)
-
-
-def _read_one_of(source: Source) -> Image:
-
-    reader = opened(source.path)
-    try:
-        reader.ReadImageInformation()
-        size = list(reader.GetSize())
-        reader.SetExtractSize([*size[:3], 0])
-        reader.SetExtractIndex([0, 0, 0, int(source.index or 0)])
-        return _image(reader.Execute())
-    except RuntimeError as error:
-        raise InputError(f"{source}: the frame cannot be read ({str(error).strip().splitlines()[-1][:200]}).") from None
 
 
 def _read_series(source: Source) -> Image:
@@ -210,11 +198,17 @@ def _read_series(source: Source) -> Image:
 
     name = source.path.name.removeprefix("series ")
     folder, series = (source.path.parent, name) if name != source.path.name else (source.path, "")
-    reader = sitk.ImageSeriesReader()
-    reader.SetFileNames(sitk.ImageSeriesReader.GetGDCMSeriesFileNames(str(folder), series))
+    files = sitk.ImageSeriesReader.GetGDCMSeriesFileNames(str(folder), series)
+    reader, one = sitk.ImageSeriesReader(), sitk.ImageFileReader()
+    reader.SetFileNames(files)
     reader.MetaDataDictionaryArrayUpdateOn()
     try:
-        image = _image(reader.Execute())
+        if files:
+            one.SetFileName(files[0])
+            one.ReadImageInformation()
+            size = (*one.GetSize(), 1)[:3]  # a file is a slice, or holds all of them
+            images.check_size(source, (*size[:2], max(len(files), size[2])), images.voxel_bytes(one.GetPixelID()))
+        image = images.checked(source, reader.Execute())
     except RuntimeError as error:
         raise InputError(f"{source}: the DICOM series cannot be read ({str(error).strip().splitlines()[-1][:200]}).") from None
     _check_slices(reader, image, source)
@@ -240,13 +234,6 @@ def _check_slices(reader: Any, image: Image, source: Source) -> None:
             f"{source}: slices {k + 1} and {k + 2} of {count} are {abs(gap[k]):.3g} mm apart, the others {abs(usual):.3g} mm; "
             "is a slice missing?"
         )
-
-
-def _image(image: Any) -> Image:
-    import SimpleITK as sitk
-
-    direction = np.array(image.GetDirection()).reshape(3, 3)
-    return Image(sitk.GetArrayFromImage(image), np.array(image.GetSpacing()), np.array(image.GetOrigin()), direction)
 
 
 def check_same_grid(first: Image, image: Image, where: Source, ed: Source) -> None:

@@ -16,6 +16,7 @@ from lacli.anatomy.inputs.image import Image
 from lacli.anatomy.surface_features import Endocardium
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import InputError, LacliError
+from lacli.base.notes import note
 from lacli.base.processes.process import while_wanted
 from lacli.base.version import __version__
 from lacli.motion import frames as framing
@@ -63,6 +64,8 @@ def load_frames(sources: Sequence[Source], surface: Endocardium, work_mm: float,
         image = framing.read(source)
         framing.check_hounsfield(image, source)
         if first is None:
+            for doubt in image.doubts(surface.ed.mean(axis=0)):  # the others share the first's grid
+                note(f"{source}: {doubt}")
             share = framing.check_is_bundles_image(image, surface, source)
             first = image
         else:

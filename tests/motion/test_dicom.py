@@ -8,11 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lacli.anatomy.inputs import image as images
 from lacli.base.errors import InputError
 from lacli.motion import frames as framing
 
 
-def dicom_series(folder: Path, volume: np.ndarray, number: int, phase: float, left_out: tuple[int, ...] = ()) -> None:
+def dicom_series(
+    folder: Path, volume: np.ndarray, number: int, phase: float, left_out: tuple[int, ...] = (), mm: float = 0.5
+) -> None:
     """A folder with one DICOM file a slice."""
     import SimpleITK as sitk
 
@@ -21,7 +24,7 @@ def dicom_series(folder: Path, volume: np.ndarray, number: int, phase: float, le
         if k in left_out:
             continue
         image = sitk.GetImageFromArray(plane[None])
-        image.SetSpacing([0.5, 0.5, 1.5])
+        image.SetSpacing([mm, mm, 1.5])
         tags = {
             "0020|000e": f"1.2.3.{number}", "0020|000d": "1.2.3", "0008|0060": "CT", "0020|0013": str(k),
             "0020|0032": f"10\\20\\{1.5 * k}", "0020|0037": "1\\0\\0\\0\\1\\0", "0018|0050": "1.5",
@@ -68,3 +71,14 @@ def test_series_of_one_phase_are_told_from_each_other_by_their_folders(tmp_path:
     with pytest.raises(InputError, match=r"all: two DICOM series have the same cardiac phase \(0\.4 of RR\): .* of its own"):
         framing.find([tmp_path / "all"])
     assert len(framing.find([tmp_path / f"phase{number}" for number in range(3)])) == 3
+
+
+def test_a_dicom_series_is_held_to_what_a_file_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    volume = np.random.default_rng(0).integers(-200, 500, (4, 8, 8)).astype(np.int16)
+    dicom_series(tmp_path / "fine", volume, 1, 0.0, mm=0.005)
+    with pytest.raises(InputError, match=r"fine: the voxels are 0\.005 x 0\.005 x 1\.5 mm, which no heart's image has"):
+        framing.read(framing.Source(tmp_path / "fine"))
+    dicom_series(tmp_path / "usual", volume, 2, 0.0)
+    monkeypatch.setattr(images, "MOST_BYTES", 500)  # 4 x 8 x 8 voxels of 2 bytes are 512
+    with pytest.raises(InputError, match=r"usual: 8 x 8 x 4 voxels of 2 bytes"):
+        framing.read(framing.Source(tmp_path / "usual"))

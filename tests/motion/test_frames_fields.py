@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from lacli.anatomy.inputs import image as images
 from lacli.anatomy.inputs.image import Image, write
-from lacli.base.errors import UsageError
+from lacli.base.errors import InputError, UsageError
 from lacli.motion import frames as framing
+from lacli.motion import tracking
 from lacli.motion.field import Field, pull, read_field, write_field
 from lacli.motion.frames import Source
 
@@ -54,6 +58,55 @@ def test_frames_of_one_file_with_four_dimensions(tmp_path: Path) -> None:
     sources = framing.find([tmp_path / "ct.nii.gz"])
     assert len(sources) == 5
     assert np.array_equal(framing.read(sources[3]).array, array[3])
+
+
+def four_d(file: Path, spacing: float = 1.0, **fields: tuple[str, int, tuple[float, ...]]) -> Path:
+    """Three frames of 6 x 5 x 4 voxels in one NIfTI file, fields of its header changed: struct format, offset, values."""
+    import SimpleITK as sitk
+
+    made = [sitk.GetImageFromArray(np.full((4, 5, 6), 10.0 * number, np.float32)) for number in range(3)]
+    for one in made:
+        one.SetSpacing([spacing] * 3)
+    sitk.WriteImage(sitk.JoinSeries(made), str(file))
+    content = bytearray(file.read_bytes())
+    for kind, at, values in fields.values():
+        struct.pack_into("<" + kind, content, at, *values)
+    file.write_bytes(bytes(content))
+    return file
+
+
+def test_a_frame_of_four_dimensions_is_held_to_what_a_file_of_three_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import SimpleITK as sitk
+
+    values = np.full((3, 4, 5, 6), 10.0, np.float32)
+    values[2, 1, 1, 1] = np.nan
+    sitk.WriteImage(sitk.JoinSeries([sitk.GetImageFromArray(one) for one in values]), str(tmp_path / "nan.mha"))
+    assert framing.read(Source(tmp_path / "nan.mha", 1)).array[0, 0, 0] == 10.0
+    with pytest.raises(InputError, match=r"nan\.mha \(frame 2\): 1 voxels are not finite"):
+        framing.read(Source(tmp_path / "nan.mha", 2))
+    with pytest.raises(InputError, match=r"fine\.nii \(frame 0\): the voxels are 0\.001 x .* no heart's image has"):
+        framing.read(Source(four_d(tmp_path / "fine.nii", 0.001), 0))
+    usual = four_d(tmp_path / "usual.nii")
+    (tmp_path / "cut.nii").write_bytes(usual.read_bytes()[:-8])
+    with pytest.raises(InputError, match="the file is truncated"):
+        framing.read(Source(tmp_path / "cut.nii", 0))
+    monkeypatch.setattr(images, "MOST_BYTES", 400)  # a frame has 480
+    with pytest.raises(InputError, match=r"6 x 5 x 4 voxels of 4 bytes .* crop the image"):
+        framing.read(Source(usual, 0))
+
+
+def test_of_two_transforms_in_a_header_the_sform_holds_and_it_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The sform's rows begin at byte 280: it is moved by 7 mm along x, to the right in NIfTI's axes."""
+    file = four_d(tmp_path / "two.nii", sform=("f", 280 + 12, (7.0,)))
+    for check in ("check_hounsfield", "check_is_bundles_image", "check_same_grid"):
+        monkeypatch.setattr(framing, check, lambda *_: 1.0)
+    surface = SimpleNamespace(ed=np.array([[-7.0, 0, 0], [-2.0, 4, 3]]))
+    tracking.load_frames(framing.find([file]), surface, 0.9, lambda *_: None)  # type: ignore[arg-type]
+    assert framing.read(Source(file, 1)).origin == pytest.approx([-7.0, 0.0, 0.0])
+    (told,) = [record.getMessage() for record in caplog.records]
+    assert "two.nii (frame 0): the NIfTI header holds two transforms that differ by 7 mm" in told
 
 
 @pytest.mark.parametrize(

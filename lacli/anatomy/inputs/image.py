@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -108,8 +109,8 @@ def opened(path: Path) -> Any:
     return reader
 
 
-def read(path: Path) -> Image:
-    """Read a 3-D scalar image.
+def read(path: Path, frame: int | None = None) -> Image:
+    """Read a 3-D scalar image, or one ``frame`` of a file that holds several.
 
     Raises InputError where the file is missing, damaged, not 3-D, too large, has coordinates that are not finite, axes that are
     not perpendicular, or voxels of no plausible size. The header is judged before memory is taken for the voxels.
@@ -120,9 +121,10 @@ def read(path: Path) -> Image:
         raise InputError(f"{path}: no such file.")
     if path.stat().st_size == 0:
         raise InputError(f"{path}: the file is empty; export it again.")
-    header = nifti.read_header(path) if path.name.lower().endswith(nifti.SUFFIXES) else None
+    # of several frames the first is read first, and tells whether all are there
+    header = nifti.read_header(path, not frame) if path.name.lower().endswith(nifti.SUFFIXES) else None
     if header is not None:
-        _check_size(path, header.shape, header.voxel_bytes)
+        check_size(path, _of_frame(header.shape, frame), header.voxel_bytes)
     grid = None if header is None else _nifti_grid(path, header)  # before the library, which has words of its own for it
     _check_nrrd(path)
     _check_meta(path)
@@ -131,8 +133,11 @@ def read(path: Path) -> Image:
     try:
         reader.ReadImageInformation()
         _check_components(path, reader.GetNumberOfComponents())
-        _check_size(path, reader.GetSize(), _voxel_bytes(reader.GetPixelID()))
+        check_size(path, _of_frame(reader.GetSize(), frame), voxel_bytes(reader.GetPixelID()))
         grid = grid or _grid(path, header, reader)
+        if frame is not None:
+            reader.SetExtractSize([*reader.GetSize()[:3], 0])
+            reader.SetExtractIndex([0, 0, 0, frame])
         image = reader.Execute()
     except (RuntimeError, MemoryError) as error:
         reason = [line.strip() for line in str(error).splitlines() if line.strip()][-1:] or ["out of memory"]
@@ -141,12 +146,28 @@ def read(path: Path) -> Image:
         ) from None
     if image.GetDimension() == 4:
         image = image[:, :, :, 0]
+    return replace(grid, array=_values(path, image))
+
+
+def checked(where: object, image: Any) -> Image:
+    """ITK's image of 3 dimensions, held to what is asked of a file; ``where`` it is from, for messages. Raises InputError."""
+    _check_components(where, image.GetNumberOfComponentsPerPixel())
+    return replace(_grid(where, None, image), array=_values(where, image))
+
+
+def _of_frame(shape: Sequence[int], frame: int | None) -> tuple[int, ...]:
+    return tuple(shape if frame is None else shape[:3])
+
+
+def _values(where: object, image: Any) -> NDArray[Any]:
+    import SimpleITK as sitk
+
     array = sitk.GetArrayFromImage(image)
     if array.dtype.kind == "f" and (bad := sum(int((~np.isfinite(slab)).sum()) for slab in array)):
-        raise InputError(f"{path}: {bad} voxels are not finite (NaN or infinite); replace them.")
+        raise InputError(f"{where}: {bad} voxels are not finite (NaN or infinite); replace them.")
     if array.dtype.kind == "c":
-        raise InputError(f"{path}: the voxels are complex numbers; export one scalar label (or HU) per voxel.")
-    return replace(grid, array=array)
+        raise InputError(f"{where}: the voxels are complex numbers; export one scalar label (or HU) per voxel.")
+    return np.asarray(array)
 
 
 def read_labels(path: Path) -> Image:
@@ -167,31 +188,33 @@ def length_unit(factors: float, low: float, high: float, power: int = 1) -> str:
     return next((f"; are the lengths {unit}? They must be mm" for unit in fitting), "")
 
 
-def _check_components(path: Path, count: int) -> None:
+def _check_components(path: object, count: int) -> None:
     if count != 1:
         raise InputError(f"{path}: every voxel has {count} values; export one scalar label (or HU) per voxel.")
 
 
-def _voxel_bytes(pixel: int) -> int:
+def voxel_bytes(pixel: int) -> int:
+    """Bytes of a voxel, by ITK's number of its type."""
     import SimpleITK as sitk
 
     name = sitk.GetPixelIDValueAsString(pixel)
     return next((int(bits) // 8 for bits in ("64", "32", "16", "8") if bits in name.split("-")[0]), 8)
 
 
-def _check_size(path: Path, shape: tuple[int, ...], voxel_bytes: int) -> None:
+def check_size(where: object, shape: Sequence[int], voxel_bytes: int) -> None:
+    """InputError where an image is no volume, or more than MOST_BYTES."""
     if not (len(shape) == 3 or (len(shape) > 3 and all(n == 1 for n in shape[3:]))):
-        raise InputError(f"{path}: the image has {len(shape)} dimensions ({_times(shape)}); export one 3-D frame.")
+        raise InputError(f"{where}: the image has {len(shape)} dimensions ({_times(shape)}); export one 3-D frame.")
     size = voxel_bytes
     for n in shape:
         size *= int(n)
     if size > MOST_BYTES:
         raise InputError(
-            f"{path}: {_times(shape)} voxels of {voxel_bytes} bytes are {size / 1e9:.3g} GB, more than the "
+            f"{where}: {_times(shape)} voxels of {voxel_bytes} bytes are {size / 1e9:.3g} GB, more than the "
             f"{MOST_BYTES / 1e9:.2g} GB that are taken; crop the image to the heart, or resample it."
         )
     if min(shape[:3]) < 2:
-        raise InputError(f"{path}: the image has {_times(shape)} voxels, which is a slice; export the volume.")
+        raise InputError(f"{where}: the image has {_times(shape)} voxels, which is a slice; export the volume.")
 
 
 def _times(values: Any) -> str:
@@ -212,17 +235,17 @@ def _nifti_grid(path: Path, header: nifti.Header) -> Image | None:
     return _checked(path, spacing, affine[:, 3], affine[:, :3] / np.maximum(spacing, 1e-300), header.unit, rival)
 
 
-def _grid(path: Path, header: nifti.Header | None, reader: Any) -> Image:
+def _grid(where: object, header: nifti.Header | None, reader: Any) -> Image:
     """An image without voxels at the place the library gives, checked."""
     n = len(reader.GetSize())
     spacing, origin = np.array(reader.GetSpacing())[:3], np.array(reader.GetOrigin())[:3]
     direction = np.array(reader.GetDirection()).reshape(n, n)[:3, :3]
     notes = ["the NIfTI header has neither qform nor sform: where left and right, front and back are is a guess"]
-    return _checked(path, spacing, origin, direction, "" if header is None else header.unit, None, notes if header else ())
+    return _checked(where, spacing, origin, direction, "" if header is None else header.unit, None, notes if header else ())
 
 
 def _checked(
-    path: Path,
+    where: object,
     spacing: FloatArray,
     origin: FloatArray,
     direction: FloatArray,
@@ -231,32 +254,32 @@ def _checked(
     notes: Any = (),
 ) -> Image:
     if not (np.isfinite(spacing).all() and np.isfinite(origin).all() and np.isfinite(direction).all()):
-        raise InputError(f"{path}: the affine (spacing, origin or direction) has a value that is not finite; correct the header.")
+        raise InputError(f"{where}: the affine (spacing, origin, direction) has a value that is not finite; correct the header.")
     if np.any(spacing <= 0) or np.any(np.abs(np.linalg.norm(direction, axis=0) - 1.0) > 1e-3):
-        raise InputError(f"{path}: the affine is singular or has no voxel size (spacing {_times(spacing)}); correct the header.")
-    _check_perpendicular(path, direction)
-    _check_spacing(path, spacing, unit)
+        raise InputError(f"{where}: the affine is singular or has no voxel size (spacing {_times(spacing)}); correct the header.")
+    _check_perpendicular(where, direction)
+    _check_spacing(where, spacing, unit)
     return Image(np.zeros((0, 0, 0)), spacing, origin, direction, rival, tuple(notes))
 
 
-def _check_perpendicular(path: Path, direction: FloatArray) -> None:
+def _check_perpendicular(where: object, direction: FloatArray) -> None:
     pairs = ((0, 1), (0, 2), (1, 2))
     off = [math.degrees(math.asin(min(1.0, abs(float(direction[:, a] @ direction[:, b]))))) for a, b in pairs]
     worst = int(np.argmax(off))
     if off[worst] > 89.0:
-        raise InputError(f"{path}: the affine is singular, two of the image's axes are the same; correct the header.")
+        raise InputError(f"{where}: the affine is singular, two of the image's axes are the same; correct the header.")
     if off[worst] > MOST_TILT_DEG:
         first, second = ("ijk"[axis] for axis in pairs[worst])
         raise InputError(
-            f"{path}: the image's axes are not perpendicular, {first} and {second} are {off[worst]:.1f} degrees off a right "
+            f"{where}: the image's axes are not perpendicular, {first} and {second} are {off[worst]:.1f} degrees off a right "
             "angle (a tilted gantry, or a sheared affine); resample the image to a straight grid."
         )
 
 
-def _check_spacing(path: Path, spacing: FloatArray, unit: str) -> None:
+def _check_spacing(where: object, spacing: FloatArray, unit: str) -> None:
     if np.all((spacing >= LEAST_SPACING_MM) & (spacing <= MOST_SPACING_MM)):
         return
-    words = f"{path}: the voxels are {_times(spacing.tolist())} mm, which no heart's image has"
+    words = f"{where}: the voxels are {_times(spacing.tolist())} mm, which no heart's image has"
     if unit and unit != "millimetres":
         raise InputError(f"{words}; the header says the lengths are {unit}: correct xyzt_units.")
     meant = length_unit(float(np.median(spacing)), 0.1, 5.0)

@@ -49,8 +49,8 @@ class Header:
         return size
 
 
-def read_header(path: Path) -> Header:
-    """The header of a .nii, .nii.gz, .hdr or .img file, and whether all voxels are there.
+def read_header(path: Path, count_voxels: bool = True) -> Header:
+    """The header of a .nii, .nii.gz, .hdr or .img file, and (``count_voxels``) whether all voxels are there.
 
     Raises InputError where it is no NIfTI header, the file is cut short, the affine is not finite or contradicts the voxel size.
     """
@@ -64,7 +64,7 @@ def read_header(path: Path) -> Header:
     if pair and magic.startswith(b"n+"):
         pair = False
     data = path.with_suffix(".img") if pair else path
-    if header.data_bytes <= 1 << 32:  # larger ones are refused for their size
+    if count_voxels and header.data_bytes <= 1 << 32:  # larger ones are refused for their size
         needed = (0 if pair else header.offset) + header.data_bytes
         _check_length(data, needed)
     return header
