@@ -41,6 +41,7 @@ def validate(run: Path, motion: Path, *, targets: Path | None = None, out: Path 
     if not all(isinstance(part, dict) and isinstance(part.get("sd"), float) for part in parts):
         raise InputError(f"{motion / 'tracking.json'}: its shrinkage is damaged; track again.")
     names = read_targets(targets or motion / "targets.toml").names
+    _tell_end_systole(run, simulated, motion, float(phases["es"]))
     try:
         found = compare(simulated, tracked, {k: float(v) for k, v in sd.items()}, names, float(phases["es"]), shrinkage)
     except InputError as error:
@@ -52,6 +53,21 @@ def validate(run: Path, motion: Path, *, targets: Path | None = None, out: Path 
         with replacing(out / "validation.png") as temporary:
             transients(found, temporary)
     return found
+
+
+def _tell_end_systole(run: Path, simulated: pd.DataFrame, motion: Path, tracked_es: float) -> None:
+    from lacli.base.notes import note
+    from lacli.contracts.targets import SAME_ES
+
+    if not {"phase", "time"} <= set(simulated) or not (simulated["phase"] == "reservoir").any():
+        return  # not of `lacli simulate`
+    own = float(simulated.loc[simulated["phase"] == "reservoir", "time"].max())
+    if abs(own - tracked_es) > SAME_ES:
+        note(
+            f"{run}: end-systole is at {own:.3g} of the cycle, in {motion} at {tracked_es:.3g}: frames were simulated at other "
+            f"pressures than they were imaged at. Simulate with motion.es_time={tracked_es:.3g}, or, where the annulus moves as "
+            "the bundle says, track with --update-bundle."
+        )
 
 
 def _table(path: Path) -> pd.DataFrame:

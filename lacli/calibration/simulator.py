@@ -9,9 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lacli.base.errors import UsageError
 from lacli.contracts.features import KEYS, at_time, parse
+from lacli.contracts.motion import FILE as MOTION
 from lacli.contracts.parameters import QUANTITIES
 from lacli.contracts.scene import Scene, with_parameters
+from lacli.contracts.targets import SAME_ES, Targets
+from lacli.motion.annulus import end_systole
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -126,6 +130,28 @@ def times_of(names: Sequence[str]) -> tuple[float, ...]:
         if time:
             found.add(time)
     return tuple(sorted(found))
+
+
+def check_end_systole(scene: Scene, targets: Targets) -> None:
+    """UsageError where targets at times of the cycle are of another end-systole than the scene's: a frame's load hangs on it.
+
+    Targets at end-systole alone have the load of end-systole, whenever it is.
+    """
+    if targets.es_time is None or not times_of(targets.names):
+        return
+    own = end_systole(scene.motion, scene.anatomy.bundle)
+    if abs(own - targets.es_time) <= SAME_ES:
+        return
+    of_scene, remedy = f"the scene's (motion.es_time) at {own:.3g}", f"Set motion.es_time={targets.es_time:.3g}"
+    if scene.motion.annulus == "bundle":
+        of_scene = f"that of {scene.anatomy.bundle}/{MOTION}, which the scene takes, at {own:.3g}"
+        remedy = f"Track again with --update-bundle, or set motion.annulus=none and motion.es_time={targets.es_time:.3g}"
+    elif scene.motion.annulus == "axial":
+        remedy += ", and motion.frames so that it is one of them"
+    raise UsageError(
+        f"the targets' end-systole (es_time in their file) is at {targets.es_time:.3g} of the cycle, {of_scene}: frames would be "
+        f"simulated at other pressures than they were imaged at. {remedy}."
+    )
 
 
 def _outcome(result: RunResult, errors: dict[str, float], framed: bool) -> Outcome:

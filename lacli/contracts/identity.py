@@ -63,8 +63,9 @@ class Identity:
 def identify(kind: str, **parts: Any) -> Identity:
     """The identity of a thing of that kind (one of METHODS) made from ``parts``, this method and this version of lacli.
 
-    parts: plain values, arrays, dataclasses, models, mappings of them; every field of a dataclass counts. Numbers that
-    belong to names (a field ``names`` beside arrays of its length) get the names as keys.
+    parts: plain values, arrays, dataclasses, models, mappings of them; every field of a dataclass counts, but those whose
+    metadata say ``determines``: False. Numbers that belong to names (a field ``names`` beside arrays of its length) get the
+    names as keys.
     """
     return Identity(kind, flatten({**parts, "method": METHODS[kind], "lacli": __version__}))
 
@@ -115,7 +116,8 @@ def _canonical(value: Any) -> Any:
 
 
 def _fields(value: Any) -> dict[str, Any]:
-    content = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+    determining = [field.name for field in dataclasses.fields(value) if field.metadata.get("determines", True)]
+    content = {name: getattr(value, name) for name in determining}
     if hasattr(value, "as_given"):
         content |= value.as_given()
     names = content.get("names")

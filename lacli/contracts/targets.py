@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +25,15 @@ from lacli.contracts.tables.discrepancy import read_discrepancies
 # (a mean near 0 is what rounding left of nothing: there the unit is the measure)
 _EXACTEST, _VAGUEST = 1e-12, 1e6
 _NOTHING, _LARGEST = 1e-100, 1e100
+SAME_ES = 0.02  # of the cycle: a frame as near to end-systole shows end-systole itself
 
 
 @dataclass(frozen=True)
 class Targets:
     """Targets of features by name: names (p,), mean (p,) and sd (p,) in the features' own units; covariance (p, p) of the errors,
     None: independent; priors of the simulator's inputs, None: uniform; added (p,): what of sd is not the measurement's, None:
-    nothing (``widened``); measured (p,): what of it is, None: all; errors (p, p): covariance of what was added, None: nothing."""
+    nothing (``widened``); measured (p,): what of it is, None: all; errors (p, p): covariance of what was added, None: nothing;
+    es_time: end-systole in the images, as a share of the cycle, None: not stated."""
 
     names: tuple[str, ...]
     mean: FloatArray
@@ -41,6 +43,7 @@ class Targets:
     added: FloatArray | None = None
     measured: FloatArray | None = None
     errors: FloatArray | None = None
+    es_time: float | None = field(default=None, metadata={"determines": False})  # held against the scene's, which runs take
 
     @property
     def own_sd(self) -> FloatArray:
@@ -60,7 +63,7 @@ class Targets:
         covariance = None if self.covariance is None else self.covariance[np.ix_(j, j)]
         added, measured = (None if value is None else value[j] for value in (self.added, self.measured))
         errors = None if self.errors is None else self.errors[np.ix_(j, j)]
-        return Targets(tuple(names), self.mean[j], self.sd[j], covariance, self.priors, added, measured, errors)
+        return Targets(tuple(names), self.mean[j], self.sd[j], covariance, self.priors, added, measured, errors, self.es_time)
 
     def widened(self, errors: Mapping[str, float], correlation: FloatArray | None = None) -> Targets:
         """The targets with errors (sd, in the features' units) of what is held against them added to their own.
@@ -72,7 +75,7 @@ class Targets:
         added = np.diag(more**2) if correlation is None else np.outer(more, more) * correlation
         sd = np.sqrt(self.sd**2 + more**2)
         in_all = added if self.errors is None else self.errors + added
-        told = (self.priors, np.hypot(before, more), self.own_sd, in_all)
+        told = (self.priors, np.hypot(before, more), self.own_sd, in_all, self.es_time)
         if self.covariance is None and np.array_equal(added, np.diag(np.diag(added))):
             return Targets(self.names, self.mean, sd, None, *told)
         own = np.diag(self.sd**2) if self.covariance is None else self.covariance
@@ -132,7 +135,7 @@ def read_targets(path: Path) -> Targets:
     values = np.array(list(found.values()))
     file = document.get("covariance")
     covariance = None if file is None else read_covariance(path, file, list(found), values[:, 1])
-    targets = Targets(tuple(found), values[:, 0], values[:, 1], covariance, priors)
+    targets = Targets(tuple(found), values[:, 0], values[:, 1], covariance, priors, es_time=_es_time(path, document))
     discrepancy = read_discrepancies(path, lacking, list(found))
     if discrepancy is None:
         return targets
@@ -140,6 +143,15 @@ def read_targets(path: Path) -> Targets:
     unit = np.where(sd > 0, sd, 1.0)
     correlation = discrepancy / np.outer(unit, unit)
     return targets.widened(dict(zip(found, map(float, sd), strict=True)), correlation)
+
+
+def _es_time(path: Path, document: Mapping[str, Any]) -> float | None:
+    value = document.get("es_time")
+    if value is None or isinstance(value, dict):
+        return None
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < value < 1.0:
+        raise TableError(f"{path}: es_time is {brief(value)}; it is a share of the cycle between 0 and 1.")
+    return float(value)
 
 
 def _target(path: Path, name: str, entry: dict[str, Any]) -> tuple[float, float]:
@@ -183,7 +195,7 @@ def write_targets(path: Path, targets: Targets) -> None:
     path = Path(path)
     if targets.errors is not None and targets.errors.any():
         raise TableError(f"{path}: errors were added to these targets. Write them as measured, and [discrepancy.KIND] by hand.")
-    document: dict[str, Any] = {}
+    document: dict[str, Any] = {} if targets.es_time is None else {"es_time": targets.es_time}
     if targets.covariance is not None:
         document["covariance"] = f"{path.stem}_covariance.npz"
         write_covariance(path.with_name(document["covariance"]), targets.names, targets.covariance)

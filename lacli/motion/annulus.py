@@ -49,7 +49,7 @@ def descend(
     axis = (middle - centre) / np.linalg.norm(middle - centre)
     # end-systole is one of the frames, so that the peak is reached
     times = np.arange(frames) / frames
-    es_time = float(times[max(1, int(np.argmin(np.abs(times - es_time))))])
+    es_time = _peak(frames, es_time)
     course = np.where(
         times <= es_time,
         0.5 - 0.5 * np.cos(np.pi * times / es_time),
@@ -58,6 +58,21 @@ def descend(
     across = (ring - middle) - np.outer((ring - middle) @ axis, axis)
     shift = descent_mm * axis + circumference_change * across
     return Motion(times, ids, ring + course[:, None, None] * shift, es_time)
+
+
+def _peak(frames: int, es_time: float) -> float:
+    times = np.arange(frames) / frames
+    return float(times[max(1, int(np.argmin(np.abs(times - es_time))))])
+
+
+def end_systole(settings: MotionSettings, folder: Path) -> float:
+    """End-systole of a simulation, as a share of the cycle: that of the annulus' motion, if there is one, else as set.
+
+    folder: the bundle's. Raises InputError where its motion is missing or damaged.
+    """
+    if settings.annulus == "bundle":
+        return load_motion(folder).es_time
+    return settings.es_time if settings.annulus == "none" else _peak(settings.frames, settings.es_time)
 
 
 def asked_motion(settings: MotionSettings, bundle: Bundle, folder: Path) -> Motion | None:

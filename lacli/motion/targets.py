@@ -153,7 +153,7 @@ def measured(course: Course, model: ErrorModel, times: Sequence[float] | None = 
     if course.shrinkage is not None:
         covariance += course.shrinkage.covariance(keys * len(weights), np.array(changes))
     covariance[np.diag_indices_from(covariance)] *= 1.0 + _NUGGET
-    targets = Targets(tuple(names), np.array(means), np.sqrt(np.diag(covariance)))
+    targets = Targets(tuple(names), np.array(means), np.sqrt(np.diag(covariance)), es_time=es)
     return Covaried(targets, covariance, tuple(when))
 
 
@@ -170,5 +170,5 @@ def published(course: Course, ed_residual_mm: Mapping[str, float]) -> Covaried:
             region = name.removeprefix("d_").removesuffix("_mm")
             values.append(row[name])
             sds.append(max(ed_residual_mm[region], 1e-6))
-    targets = Targets(PUBLISHED, np.array(values), np.array(sds))
+    targets = Targets(PUBLISHED, np.array(values), np.array(sds), es_time=course.phases.es)
     return Covaried(targets, np.diag(targets.sd**2), (None,) * len(PUBLISHED))

@@ -176,7 +176,7 @@ def test_errors_measured_since_are_another_table(scene_of: SceneOf, tmp_path: Pa
 def altered(value: Any) -> Any:
     """A value of the same kind that is not this one."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        field = dataclasses.fields(value)[-1]
+        field = [f for f in dataclasses.fields(value) if f.metadata.get("determines", True)][-1]
         return dataclasses.replace(value, **{field.name: altered(getattr(value, field.name))})
     if value is None:
         return np.eye(2)  # a covariance, where there was none
@@ -200,11 +200,11 @@ _SOME = {"priors": (Prior("a", "normal", 1.0, 0.5),)}
 
 
 def every_change(value: Any) -> dict[str, Any]:
-    """The value with each of its fields changed, by the field's name."""
+    """The value with each of its fields changed that say what determines it, by the field's name."""
     return {
         field.name: dataclasses.replace(value, **{field.name: _SOME.get(field.name) or altered(getattr(value, field.name))})
         for field in dataclasses.fields(value)
-        if field.init
+        if field.init and field.metadata.get("determines", True)
     }
 
 

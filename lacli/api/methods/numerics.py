@@ -57,7 +57,7 @@ def calibration_tradeoff(
 
     from lacli.base.files import check_folder
     from lacli.calibration.numerics import Choice, effects, recommend
-    from lacli.calibration.simulator import simulator
+    from lacli.calibration.simulator import check_end_systole, simulator
     from lacli.contracts.scene import parameters_of
     from lacli.inference.box import published_box
     from lacli.mechanics.numerics.stated import with_discretisation
@@ -66,6 +66,7 @@ def calibration_tradeoff(
         raise UsageError('tradeoff: derivatives need the compiled engine with numerics.unloading = "prestrain".')
     if scene.numerics.rest_sweeps:
         raise UsageError("tradeoff: springs at rest where the wall relaxes have no derivatives; set numerics.rest_sweeps to 0.")
+    check_end_systole(scene, targets)
     check_folder(store)
     box = box or published_box()
     places = [scene.anatomy.bundle, *(Path(mesh).resolve() for mesh in meshes)]

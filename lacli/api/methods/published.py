@@ -46,11 +46,13 @@ def calibrate_by_waves(
     else:
         from lacli.base.processes.locks import working_on
         from lacli.calibration.calibration import calibration_identity, obstacle
+        from lacli.calibration.simulator import check_end_systole
         from lacli.inference.box import published_box
         from lacli.inference.runs import RunLog, runs_identity
         from lacli.mechanics.numerics.stated import MEASURED, said_of, with_discretisation
 
         assert scene is not None
+        check_end_systole(scene, targets)
         box = work.box or published_box()
         if work.discretisation:
             # what was measured is in the table of runs already, and reaches the likelihood from there

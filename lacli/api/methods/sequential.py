@@ -88,13 +88,14 @@ def prices(scene: Scene, targets: Targets, folder: Path, settings: Settings | No
     from lacli.calibration.price import price
     from lacli.calibration.sequential.fidelity.companion import companion
     from lacli.calibration.sequential.search import Settings
-    from lacli.calibration.simulator import asked
+    from lacli.calibration.simulator import asked, check_end_systole
     from lacli.contracts.priors import check_priors
     from lacli.inference.box import published_box
     from lacli.mechanics.numerics.earlier import earlier
 
     if words := lacking(scene):
         raise UsageError(f"calibrate: {words} Change the scene, or use --method published.")
+    check_end_systole(scene, targets)
     box = work.box or published_box()
     check_priors(targets.priors, box.names, box.lower, box.upper)
     settings, done = settings or Settings(), earlier(work.store or folder / RUNS)
@@ -131,7 +132,7 @@ def _prepared(scene: Scene, targets: Targets, folder: Path, settings: Settings |
     from lacli.calibration.sequential.fidelity.companion import companion
     from lacli.calibration.sequential.outputs import CHEAP, LOG
     from lacli.calibration.sequential.search import Reference, Settings
-    from lacli.calibration.simulator import simulator
+    from lacli.calibration.simulator import check_end_systole, simulator
     from lacli.contracts.identity import settle
     from lacli.inference.box import published_box
     from lacli.inference.runs import RunLog, runs_identity
@@ -140,6 +141,7 @@ def _prepared(scene: Scene, targets: Targets, folder: Path, settings: Settings |
 
     if words := lacking(scene):
         raise UsageError(f"calibrate: {words} Change the scene, or use --method published.")
+    check_end_systole(scene, targets)
     check_folder(folder)
     settings, box = settings or Settings(), work.box or published_box()
     kinds = [(scene, LOG), *([(companion(scene, work.cheap), CHEAP)] if work.cheap else [])]
