@@ -22,6 +22,7 @@ from lacli.anatomy.openings import finding
 from lacli.anatomy.openings.candidate import Candidate, place
 from lacli.anatomy.openings.landmarks import LPS, Axes, Landmarks
 from lacli.anatomy.openings.mitral import lv_contact, of_contact
+from lacli.anatomy.wall.offset import REACH
 from lacli.anatomy.wall.shell import TooTightError, mesh_shell
 from lacli.base.errors import AnatomyError
 from lacli.contracts.bundle import Bundle
@@ -34,6 +35,7 @@ LEAST_WALL_MM = 1.0
 FOLD_DEG = 120.0  # between the normals of two triangles of the wall: a fold
 FINE_MM, UNFOLD_MM = 0.6, 1.5  # voxels and smoothing of a surface whose folds no wall can follow
 THINNED = 0.05  # share of the wall's points that may be thinner than asked without a word
+UNMET = 0.01  # the same of those whose outer side as given is too near or too far to be the wall's
 
 
 @dataclass(frozen=True)
@@ -204,6 +206,7 @@ def _from_closed(
         cavity, found = _smoothed(surface, found, notes)
         bundle = _shell(cavity, options, outer, notes)
     _say_thinned(bundle, notes)
+    _say_unmet(bundle, options.thickness_mm, notes)
     say("coordinates, regions, fibres")
     described = coordinates.describe(bundle, found.sides, options.fibre_rule)
     if described.islands:
@@ -250,6 +253,18 @@ def _say_thinned(bundle: Bundle, notes: list[str]) -> None:
         notes.append(
             f"the wall is thinner than asked at {100 * share:.0f} % of its points, where the surface bends too tightly for it; "
             "thickness per region is in the report"
+        )
+
+
+def _say_unmet(bundle: Bundle, thickness_mm: float, notes: list[str]) -> None:
+    shell = bundle.info["shell"]
+    if (share := float(shell["unmet_share"])) > UNMET:
+        low, high = (times * thickness_mm for times in REACH)
+        where = place(np.array(shell["unmet_at"]))
+        notes.append(
+            f"at {100 * share:.0f} % of the wall's points, around {where}, its outer side as given is not {low:.2g} to "
+            f"{high:.2g} mm from the blood: the wall has {thickness_mm:g} mm there. If it is really so thin or thick, give a "
+            "--thickness-mm nearer to it"
         )
 
 

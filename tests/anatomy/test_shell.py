@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from shapes import HEIGHT, RADIUS, cut_ball, icosphere
 
+from lacli.anatomy import build
 from lacli.anatomy.wall.shell import mesh_shell
 from lacli.base.errors import AnatomyError
 from lacli.contracts.bundle import check
@@ -113,6 +114,22 @@ def test_an_outer_surface_replaces_the_thickness() -> None:
     bundle = mesh_shell(ball, 2.0, 4.0, outer=outer)
     epi = np.linalg.norm(bundle.points[np.unique(bundle.triangles[bundle.tags == EPI][:, :3])], axis=1)
     assert epi == pytest.approx(RADIUS + 3.0, abs=0.06)
+
+
+def test_where_the_outer_surface_is_out_of_reach_it_is_told() -> None:
+    """Beyond z = 8 mm of a ball of 20 mm it is 9 mm away, more than 3 x 2 mm: a cap of (20 - 8) / 40 of the area."""
+    ball, outer = icosphere(RADIUS, 4), icosphere(RADIUS + 3.0, 4)
+    points = np.where(outer.points[:, 2:] > 8.0 * 23.0 / 20.0, outer.points * 29.0 / 23.0, outer.points)
+    bundle = mesh_shell(ball, 2.0, 4.0, order=1, outer=replace(outer, points=points))
+    shell = bundle.info["shell"]
+    assert shell["unmet_share"] == pytest.approx(0.3, abs=0.05) and shell["unmet_at"][2] > 15.0
+    epi = bundle.points[np.unique(bundle.triangles[bundle.tags == EPI][:, :3])]
+    assert np.linalg.norm(epi[epi[:, 2] > 15.0], axis=1) == pytest.approx(RADIUS + 2.0, abs=0.2)
+    notes: list[str] = []
+    build._say_unmet(bundle, 2.0, notes)
+    assert len(notes) == 1 and "its outer side as given is not 0.6 to 6 mm from the blood: the wall has 2 mm there" in notes[0]
+    build._say_unmet(mesh_shell(ball, 2.0, 4.0, order=1, outer=outer), 2.0, notes)
+    assert len(notes) == 1
 
 
 @pytest.mark.parametrize(

@@ -17,19 +17,22 @@ from lacli.geometry.surface import Surface, unique_edges
 MAX_MITRE = 1.7
 NORMAL_SMOOTHING_MM = 1.5
 GOOD = 0.2
+REACH = (0.3, 3.0)  # times the thickness: where an outer surface that is given is nearer or farther, it is another thing's
 
 
 @dataclass(frozen=True)
 class Offset:
     """vector (n, 3) mm: from each point of the surface to the outer side; middle (e, 3) mm: smooth middle of each edge on
     the surface, middle_vector (e, 3): from there outward; thinned (n,) bool: less than asked, to stay valid;
-    starts (t, 3): the diagonals for split_prisms."""
+    starts (t, 3): the diagonals for split_prisms; unmet (n,) bool: the outer surface that was given is out of reach there, and
+    the thickness holds."""
 
     vector: FloatArray
     middle: FloatArray
     middle_vector: FloatArray
     thinned: np.ndarray
     starts: np.ndarray
+    unmet: np.ndarray
 
 
 def offset_surface(
@@ -51,8 +54,9 @@ def offset_surface(
     sides = _sides_at_points(surface)
     asked = thickness(surface.points)
     nominal = _vectors(surface.points, sides, reference, asked)
+    unmet = np.zeros(len(surface.points), dtype=bool)
     if outer is not None:
-        nominal = _reach(surface.points, nominal, outer, sides)
+        nominal, unmet = _reach(surface.points, nominal, outer, sides)
     vector = _clear(surface.points, nominal, reference, asked)
     vector, starts = untangle(surface, edges, vector, layers)
     length, wanted = np.linalg.norm(vector, axis=1), np.linalg.norm(nominal, axis=1)
@@ -60,7 +64,7 @@ def offset_surface(
     turned = np.einsum("ij,ij->i", vector, nominal) / (length * wanted) < 0.999
     chord = surface.points[edges].mean(axis=1)
     if not curved:
-        return Offset(vector, chord, vector[edges].mean(axis=1), ratio < 0.95, starts)
+        return Offset(vector, chord, vector[edges].mean(axis=1), ratio < 0.95, starts, unmet)
     middle, edge_sides = _middles(surface, edges, chord, reference)
     free = _vectors(middle, edge_sides, reference, thickness(middle)) if outer is None else vector[edges].mean(axis=1)
     mean = vector[edges].mean(axis=1)
@@ -71,7 +75,7 @@ def offset_surface(
     free = np.where(fading[:, None], faded, free)
     changed = (turned | (ratio < 0.98))[edges].any(axis=1) & ~fading
     mean *= (length[edges].mean(axis=1) / np.maximum(np.linalg.norm(mean, axis=1), 1e-12))[:, None]
-    return Offset(vector, middle, np.where(changed[:, None], mean, free), ratio < 0.95, starts)
+    return Offset(vector, middle, np.where(changed[:, None], mean, free), ratio < 0.95, starts, unmet)
 
 
 def _sides_at_points(surface: Surface) -> IntArray:
@@ -101,19 +105,20 @@ def _vectors(points: FloatArray, sides: IntArray, reference: Reference, thicknes
     return direction * (thickness * np.minimum(1.0 / np.maximum(cosine, 1e-3), MAX_MITRE))[:, None]
 
 
-def _reach(points: FloatArray, vector: FloatArray, outer: Surface, sides: IntArray) -> FloatArray:
-    """Vectors lengthened or shortened to meet the outer surface; unchanged on planes and where it is not met within 0.3 - 3."""
+def _reach(points: FloatArray, vector: FloatArray, outer: Surface, sides: IntArray) -> tuple[FloatArray, np.ndarray]:
+    """Vectors lengthened or shortened to meet the outer surface; unchanged on planes and where it is not met within REACH times
+    their length, (n,) True there."""
     import pyvista as pv
 
     mesh = pv.PolyData.from_regular_faces(outer.points, outer.triangles)
-    result = vector.copy()
+    result, unmet = vector.copy(), np.zeros(len(points), dtype=bool)
     for i in np.flatnonzero((sides[:, 0] == 0) & (sides[:, 1] < 0)):
-        hits, _ = mesh.ray_trace(points[i] + 0.05 * vector[i], points[i] + 3.0 * vector[i], first_point=True)
-        if len(hits):
-            ratio = np.linalg.norm(hits.reshape(-1, 3)[0] - points[i]) / np.linalg.norm(vector[i])
-            if ratio > 0.3:
-                result[i] = ratio * vector[i]
-    return result
+        hits, _ = mesh.ray_trace(points[i] + 0.05 * vector[i], points[i] + REACH[1] * vector[i], first_point=True)
+        away = np.linalg.norm(hits.reshape(-1, 3)[0] - points[i]) if len(hits) else 0.0
+        ratio = away / np.linalg.norm(vector[i])
+        unmet[i] = ratio <= REACH[0]
+        result[i] = vector[i] if unmet[i] else ratio * vector[i]
+    return result, unmet
 
 
 def _clear(points: FloatArray, vector: FloatArray, reference: Reference, thickness: FloatArray) -> FloatArray:

@@ -7,6 +7,7 @@ and each prism is cut into three tetrahedra. With 10-node cells the middles of t
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -36,7 +37,9 @@ class TooTightError(AnatomyError):
 @dataclass(frozen=True)
 class ShellReport:
     """Quality of a shell: scaled Jacobian of the straight cells, det J of the curved ones over the straight ones', and
-    how much of the wall had to be made thinner than asked (share of the points) because the surface bends too tightly."""
+    how much of the wall had to be made thinner than asked (share of the points) because the surface bends too tightly.
+    unmet_share: of the wall's points, where the outer surface that was given is out of reach and the thickness holds; unmet_at:
+    one in their middle, mm."""
 
     cells: int
     layers: int
@@ -45,6 +48,8 @@ class ShellReport:
     curved_jacobian_min: float
     straightened_edges: int
     thinned_share: float
+    unmet_share: float = 0.0
+    unmet_at: tuple[float, ...] = ()
 
 
 def mesh_shell(
@@ -130,8 +135,19 @@ def _assemble(surface: Surface, edges: IntArray, off: Offset, layers: int, order
         curved_jacobian_min=float(curved_jacobian(points, tets).min()),
         straightened_edges=straightened,
         thinned_share=float(off.thinned.mean()),
+        **_unmet(surface, off),
     )
     return _describe(points, tets, label, triangles, tags, transmural, surface, report)
+
+
+def _unmet(surface: Surface, off: Offset) -> dict[str, Any]:
+    """Of ShellReport: how much of the wall is as thick as asked, not as given, and where."""
+    if not off.unmet.any():
+        return {}
+    there = surface.points[off.unmet]
+    middle = there[np.argmin(np.linalg.norm(there - there.mean(axis=0), axis=1))]
+    wall = np.unique(surface.triangles[~is_plane(surface.label)])
+    return {"unmet_share": float(off.unmet.sum() / len(wall)), "unmet_at": tuple(float(x) for x in np.round(middle, 1))}
 
 
 def _curve(
