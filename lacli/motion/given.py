@@ -13,6 +13,7 @@ from lacli.anatomy.inputs.meshes import surfacefile
 from lacli.anatomy.surface_features import Endocardium
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import InputError, UsageError
+from lacli.base.notes import note
 from lacli.contracts.bundle import Bundle
 from lacli.motion.field import read_field
 from lacli.motion.frames import by_number
@@ -76,6 +77,8 @@ def _label_surface(path: Path, label: int | None) -> tuple[FloatArray, IntArray]
     if label is None or label not in volumes:
         raise UsageError(f"{path}: give the blood's label with --label; there are {', '.join(map(str, volumes))}.")
     surface = extraction.surface_of(extraction.blood_pool(labels, label).mask)
+    for doubt in labels.doubts(surface.points.mean(axis=0)):
+        note(f"{path.parent}: {doubt}")  # once for frames that lie together
     return surface.points, surface.triangles
 
 

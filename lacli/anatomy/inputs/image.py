@@ -126,8 +126,7 @@ def read(path: Path, frame: int | None = None) -> Image:
     if header is not None:
         check_size(path, _of_frame(header.shape, frame), header.voxel_bytes)
     grid = None if header is None else _nifti_grid(path, header)  # before the library, which has words of its own for it
-    _check_nrrd(path)
-    _check_meta(path)
+    guesses = (*_of_nrrd(path), *_of_meta(path))
     sitk.ProcessObject_SetGlobalWarningDisplay(False)
     reader = opened(path)
     try:
@@ -146,7 +145,7 @@ def read(path: Path, frame: int | None = None) -> Image:
         ) from None
     if image.GetDimension() == 4:
         image = image[:, :, :, 0]
-    return replace(grid, array=_values(path, image))
+    return replace(grid, array=_values(path, image), notes=(*grid.notes, *guesses))
 
 
 def checked(where: object, image: Any) -> Image:
@@ -286,30 +285,47 @@ def _check_spacing(where: object, spacing: FloatArray, unit: str) -> None:
     raise InputError(f"{words}{meant.replace('lengths', 'spacings')}.")
 
 
-def _check_meta(path: Path) -> None:
-    """A MetaImage's header is lines ``key = value``, the number of dimensions among the first; what is none, its reader reports
-    in words of its own."""
+def _guesses(kind: str, sized: bool, turned: bool) -> tuple[str, ...]:
+    """What the library takes where a header says nothing, in words; sized, turned: whether it says voxel size and axes."""
+    size = () if sized else (f"the {kind} header has no voxel size: voxels of 1 mm are a guess",)
+    return size if turned else (*size, f"the {kind} header does not say which way its axes run: LPS is a guess")
+
+
+def _of_meta(path: Path) -> tuple[str, ...]:
+    """What a MetaImage's header leaves to guess. It is lines ``key = value``, the number of dimensions among the first; what is
+    none, its reader reports in words of its own."""
     if not path.name.lower().endswith((".mha", ".mhd")):
-        return
+        return ()
     with path.open("rb") as stream:
-        head = stream.read(65536)
+        head = stream.read(65536).split(b"ElementDataFile", 1)[0]
     if not re.search(rb"^\s*NDims\s*=\s*\d", head, re.MULTILINE):
         raise InputError(f"{path}: the image cannot be read, its header names no number of dimensions (NDims): not a MetaImage.")
+    sized, turned = (
+        re.search(rb"^\s*(?:%s)\s*=" % keys, head, re.MULTILINE) is not None
+        for keys in (b"ElementSpacing|ElementSize", b"TransformMatrix|Orientation|Rotation")
+    )
+    return _guesses("MetaImage", sized, turned)
 
 
-def _check_nrrd(path: Path) -> None:
-    """The reader speaks of inconsistent coefficients where a NRRD's axes are not finite, and knows no unit but mm: said first."""
+def _of_nrrd(path: Path) -> tuple[str, ...]:
+    """What a NRRD's header leaves to guess.
+
+    The reader speaks of inconsistent coefficients where axes are not finite, and knows no unit but mm: said first.
+    """
     if not path.name.lower().endswith((".nrrd", ".nhdr")):
-        return
+        return ()
+    said = set()
     with path.open("rb") as stream:
         head = stream.read(65536).replace(b"\r\n", b"\n").split(b"\n\n", 1)[0].decode("latin-1").lower()
     for line in head.splitlines():
         key, _, value = line.partition(":")
+        said.add(key)
         if key in ("space directions", "space origin", "spacings") and any(word in value for word in ("nan", "inf")):
             raise InputError(f"{path}: '{key}' in the NRRD header has a value that is not finite (NaN); correct the header.")
         units = {word.strip() for word in value.split('"')[1::2]} - {"", "mm", "millimeter", "millimeters", "millimetre"}
         if key in ("space units", "units") and units:
             raise InputError(f"{path}: the NRRD header says its lengths are in {', '.join(sorted(units))}; write it in mm.")
+    return _guesses("NRRD", bool(said & {"space directions", "spacings"}), {"space", "space directions"} <= said)
 
 
 def write(image: Image, path: Path, dtype: Any = None) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import re
 import struct
 from pathlib import Path
 
@@ -208,3 +209,35 @@ def test_a_label_that_the_border_cuts_is_said(axis: int, high: int, width: int, 
     # 10 x 10 voxels of 1 mm2 are 1 cm2, 30 x 30 are 9 cm2
     assert f"{width**2} voxels, {width**2 / 100:.3g} cm2" in note
     assert ("may be cut" in note) == body
+
+
+@pytest.mark.parametrize(
+    ("ending", "left_out", "words"),
+    [
+        ("nrrd", (b"space directions", b"space origin", b"space"), ("no voxel size: voxels of 1 mm", "LPS is a guess")),
+        ("nhdr", (b"space directions",), ("no voxel size", "LPS is a guess")),
+        ("mha", (b"ElementSpacing",), ("no voxel size",)),
+        ("mhd", (b"TransformMatrix", b"Offset"), ("LPS is a guess",)),
+        *((ending, (), ()) for ending in FORMATS),
+    ],
+)
+def test_what_a_header_does_not_say_is_a_guess_and_told(
+    tmp_path: Path, ending: str, left_out: tuple[bytes, ...], words: tuple[str, ...]
+) -> None:
+    file = written(tmp_path, ending, block())
+    if left_out:
+        head, mark, rest = file.read_bytes().partition(b"\n\n" if ending == "nrrd" else b"ElementDataFile")
+        lines = [line for line in head.splitlines() if re.split(rb"\s*[:=]", line)[0] not in left_out]
+        file.write_bytes(b"\n".join(lines) + (b"" if ending == "nrrd" else b"\n") + mark + rest)
+    notes = image.read(file).notes
+    assert len(notes) == len(words) and all(word in note for word, note in zip(words, notes, strict=True))
+    assert extraction.blood_pool(image.read_labels(file), 2).notes[: len(words)] == notes
+
+
+def test_spacings_without_axes_are_a_size_and_no_direction(tmp_path: Path) -> None:
+    file = written(tmp_path, "nrrd", block())
+    head, body = file.read_bytes().split(b"\n\n", 1)
+    lines = [line for line in head.splitlines() if not line.startswith(b"space")]
+    file.write_bytes(b"\n".join([*lines, b"spacings: 1.2 1.2 1.2"]) + b"\n\n" + body)
+    made = image.read(file)
+    assert made.spacing == pytest.approx([STEP] * 3) and len(made.notes) == 1 and "LPS is a guess" in made.notes[0]
