@@ -246,7 +246,7 @@ def fat(
     from lacli.anatomy.inputs import image as images
     from lacli.anatomy.meshing import naming, storing
     from lacli.anatomy.wall import fat as segmentation
-    from lacli.anatomy.wall import fat_files
+    from lacli.anatomy.wall import fat_files, fitting
     from lacli.base.files import check_folder
     from lacli.contracts.bundle import load
 
@@ -263,11 +263,20 @@ def fat(
     stage.next("blood pool")
     pool, seen = fat_files.pool_of(labels, la, anatomy)
     notes = [*(f"{ct}: {note}" for note in volume.doubts(pool.points.mean(axis=0))), *seen]
+    with naming(ct):
+        notes += fitting.check_pool(volume, pool)
+        if anatomy is not None:
+            fitting.check_bundle(anatomy, pool.points)
     found = {}
     for window in segmentation.WINDOWS:
         stage.next(f"fat, {window} window")
         with naming(ct):
             found[window] = segmentation.segment(volume, pool, anatomy, window, reach_mm)
+    if any(one.edge is None for one in found.values()):
+        notes.append(
+            f"{ct}: no edge of the blood is seen at the pool's surface (no contrast, or the pool is another's): blood that "
+            "shines through the wall is not taken off the fat"
+        )
     check(cancel, "the segmentation of fat")
     stage.next("mesh")
     with storing(folder):

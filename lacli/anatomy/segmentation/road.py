@@ -16,6 +16,7 @@ from lacli.anatomy.segmentation.labelmap import Numbers
 from lacli.anatomy.segmentation.pool import Crop, cleaned
 from lacli.anatomy.segmentation.regional import RegionalThickness, regional
 from lacli.anatomy.segmentation.wall import Wall
+from lacli.anatomy.wall.fitting import check_bundle
 from lacli.base.arrays import BoolArray, FloatArray
 from lacli.base.errors import AnatomyError
 from lacli.contracts.bundle import Bundle
@@ -94,6 +95,8 @@ def segment(ct: Image, rough: Image, options: Options, bundle: Bundle | None = N
     pool = cleaned(ct, smooth, la, other, intensities.edge(blood, muscle), options.crop)
     say("measuring the wall")
     surface = surface_of(_padded(ct.with_array(pool)), None, SURFACE_MM)
+    if bundle is not None:
+        check_bundle(bundle, surface.points)
     measured = wall.measure(ct, surface, blood, muscle)
     thickness = regional(measured, bundle)
     notes += _notes(thickness)

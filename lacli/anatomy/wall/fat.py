@@ -31,7 +31,7 @@ class Fat:
     """mask: fat voxels on a cropped grid of the CT; region (same shape): 1 - 5 where fat and regions are known, else 0.
 
     window_ml: volume of the voxels in the window. volume_ml: with the voxels at the border counted by their share of fat, whole
-    and per region.
+    and per region. edge: of the blood, whose share in the border's voxels was taken off; None: it was not found, and was not.
     """
 
     mask: Image
@@ -39,6 +39,7 @@ class Fat:
     window_ml: float
     volume_ml: float
     per_region_ml: dict[str, float] = field(default_factory=dict)
+    edge: Edge | None = None
 
 
 def segment(ct: Image, pool: Surface, bundle: Bundle | None = None, window: str = "standard", reach_mm: float = REACH_MM) -> Fat:
@@ -70,7 +71,8 @@ def segment(ct: Image, pool: Surface, bundle: Bundle | None = None, window: str 
         volumes = np.bincount(islands.ravel()) * ct.voxel_ml
         dense &= volumes[islands] >= LEAST_ISLAND_ML
     height = _heights(part, pool, ndimage.binary_dilation(dense, iterations=SPREAD), reach_mm)
-    share = fat_share(part, smooth, dense, height)
+    edge = blood_edge(part.array.astype(np.float64), height, dense)
+    share = fat_share(part, smooth, dense, height, edge)
     counted = (height > 0) & (height <= reach_mm) & (dense | (share != 0))
     mask, share = dense & counted, np.where(counted, share, 0.0)
     region = np.zeros(mask.shape, dtype=np.int64)
@@ -80,7 +82,7 @@ def segment(ct: Image, pool: Surface, bundle: Bundle | None = None, window: str 
         if len(where):
             region[tuple(where.T)] = _regions(bundle, part.to_world(where[:, ::-1].astype(float)))
         per_region = {name: float(share[region == value].sum()) * ct.voxel_ml for name, value in REGIONS.items()}
-    return Fat(part.with_array(mask), region, float(mask.sum()) * ct.voxel_ml, float(share.sum()) * ct.voxel_ml, per_region)
+    return Fat(part.with_array(mask), region, float(mask.sum()) * ct.voxel_ml, float(share.sum()) * ct.voxel_ml, per_region, edge)
 
 
 @dataclass(frozen=True)
@@ -120,7 +122,9 @@ def blood_edge(density: FloatArray, height: FloatArray, dense: NDArray[np.bool_]
     return Edge(float(blood), float(blur), float(shift)) if blood > BLOOD_HU and blood > tissue + 100.0 else None
 
 
-def fat_share(ct: Image, smooth: NDArray[np.float32], dense: NDArray[np.bool_], height: FloatArray) -> FloatArray:
+def fat_share(
+    ct: Image, smooth: NDArray[np.float32], dense: NDArray[np.bool_], height: FloatArray, edge: Edge | None
+) -> FloatArray:
     """Share of fat per voxel: 1 inside, at the border by where the density lies between the fat's and the tissue's nearby.
 
     Blur and voxel size make the border's voxels mixtures. A fixed window loses or wins some of them, depending on the
@@ -131,7 +135,6 @@ def fat_share(ct: Image, smooth: NDArray[np.float32], dense: NDArray[np.bool_], 
     ``smooth`` is the density without noise and tells the classes apart. Shares are not clipped: noise cancels.
     """
     density = ct.array.astype(np.float64)
-    edge = blood_edge(density, height, dense)
     voxel = float(ct.spacing.max())
     blur = USUAL_BLUR_MM if edge is None else edge.blur_mm
     reach = int(np.clip(round((3.0 * blur + 0.5 * voxel) / voxel), 1, SPREAD))

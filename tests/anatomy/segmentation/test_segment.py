@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
+from shapes import fibrous_ball
 from typer.testing import CliRunner
 
 from lacli.anatomy import build
@@ -20,6 +21,7 @@ from lacli.anatomy.inputs.image import Image, read_labels, write
 from lacli.anatomy.segmentation import intensities, regional, road
 from lacli.anatomy.segmentation.pool import Crop
 from lacli.anatomy.segmentation.wall import NEIGHBOUR, SEEN
+from lacli.base.errors import AnatomyError
 from lacli.cli import main
 
 RADIUS, WALL, VOXEL = 16.0, 1.5, 0.8
@@ -103,6 +105,12 @@ def test_axes_of_the_image_do_not_matter(found: road.Segmented) -> None:
     turn = np.array([[0.0, -1.0, 0.0], [0.8, 0.0, -0.6], [0.6, 0.0, 0.8]])
     turned = road.segment(*ball(direction=turn), road.Options(2, muscle=5))
     assert turned.thickness[0].mean_mm == pytest.approx(found.thickness[0].mean_mm, abs=1e-3)
+
+
+def test_a_bundle_of_another_atrium_is_refused() -> None:
+    """A ball about the origin, and one about the image's middle."""
+    with pytest.raises(AnatomyError, match="its regions are not of this atrium"):
+        road.segment(*ball(), road.Options(2, muscle=5), fibrous_ball(1))
 
 
 def test_sides_are_where_normals_point() -> None:
