@@ -151,7 +151,7 @@ def test_laplace_on_the_synthetic_atrium(tmp_path: Path) -> None:
     import lacli
     from lacli.types import load_scene
 
-    lacli.synthesize(tmp_path / "atrium", cell_size_mm=8.0, order=1)
+    lacli.synthesize(tmp_path / "atrium", cell_size_mm=8.0, order=2)  # the run takes the corners of its cells alone
     (tmp_path / "scene.toml").write_text(
         '[anatomy]\nbundle = "atrium"\n[numerics]\norder = 1\n[outputs]\nframes = 0\nfields = "es"\nunloaded = true\n'
     )

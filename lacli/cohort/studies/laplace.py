@@ -20,7 +20,7 @@ from lacli.anatomy.wall.thickness import of_bundle
 from lacli.base import vtkxml
 from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import InputError
-from lacli.contracts.bundle import Bundle, load
+from lacli.contracts.bundle import Bundle, as_order, load
 from lacli.contracts.labels import BODY_REGIONS, ENDO, REGIONS
 from lacli.contracts.scene import Scene
 from lacli.geometry import curves
@@ -77,14 +77,15 @@ def of_run(run: Path) -> LaplaceStudy:
     if not file.is_file():
         raise InputError(f'{file}: no such file; simulate with outputs.fields = "es".')
     scene, _ = finished(run)
-    bundle = load(Path(scene.anatomy.bundle))
+    whole = load(Path(scene.anatomy.bundle))
+    bundle = as_order(whole, scene.numerics.order)  # the run's points are those of its cells
     fields = vtkxml.read(file)
     if "displacement_from_unloaded" not in fields.point_data:
         raise InputError(f"{run}: its unloaded state is not known; simulate with outputs.unloaded = true.")
     x = np.asarray(fields.points, float)
     free = x - np.asarray(fields.point_data["displacement_from_unloaded"], float)
     materials = material_table(bundle, scene.materials, scene.numerics.kappa_points_kpa)
-    pressure = pressure_at_es(scene, bundle)
+    pressure = pressure_at_es(scene, whole)
     deformed = replace(bundle, points=x)
     stress = along_less_across(bundle, materials, free, x)
     thickness = {name: lap for name, (_, lap) in of_bundle(deformed).per_region.items()}
