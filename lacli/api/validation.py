@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lacli.base.documents import brief, read_json
 from lacli.base.errors import InputError, UsageError
 
 if TYPE_CHECKING:
@@ -21,7 +22,6 @@ def validate(run: Path, motion: Path, *, targets: Path | None = None, out: Path 
     features' names (mm, mL). out: folder for validation.csv, validation_kinds.csv and validation.png. Raises InputError,
     TableError, UsageError, StorageError.
     """
-    from lacli.base.documents import read_json
     from lacli.base.files import check_folder, replacing
     from lacli.contracts.targets import read_targets
     from lacli.motion.check.validation import compare
@@ -32,20 +32,13 @@ def validate(run: Path, motion: Path, *, targets: Path | None = None, out: Path 
         if out.resolve() in (run.resolve(), motion.resolve()):
             raise UsageError(f"{out}: results have their own folder; choose another than the run's and the motion's.")
     simulated, tracked = _table(run / "transients.csv"), _table(motion / "transients.csv")
-    info = read_json(motion / "tracking.json")
-    sd, phases = info.get("sd"), info.get("phases")
-    if not isinstance(sd, dict) or not isinstance(phases, dict) or not isinstance(phases.get("es"), (int, float)):
-        raise InputError(f"{motion / 'tracking.json'}: no sd or phases in it; track again.")
-    shrinkage = info.get("shrinkage")
-    parts = shrinkage.values() if isinstance(shrinkage, dict) else () if shrinkage is None else (None,)
-    if not all(isinstance(part, dict) and isinstance(part.get("sd"), float) for part in parts):
-        raise InputError(f"{motion / 'tracking.json'}: its shrinkage is damaged; track again.")
+    sd, es, shrinkage = _tracking(motion / "tracking.json")
     names = read_targets(targets or motion / "targets.toml").names
-    _tell_end_systole(run, simulated, motion, float(phases["es"]))
     try:
-        found = compare(simulated, tracked, {k: float(v) for k, v in sd.items()}, names, float(phases["es"]), shrinkage)
+        found = compare(simulated, tracked, sd, names, es, shrinkage)
     except InputError as error:
         raise InputError(f"{run} against {motion}: {error}") from error
+    _tell_end_systole(run, simulated, motion, es)
     if out is not None:
         for name, table in (("validation.csv", found.by_frame()), ("validation_kinds.csv", found.by_kind())):
             with replacing(out / name) as temporary:
@@ -68,6 +61,24 @@ def _tell_end_systole(run: Path, simulated: pd.DataFrame, motion: Path, tracked_
             f"pressures than they were imaged at. Simulate with motion.es_time={tracked_es:.3g}, or, where the annulus moves as "
             "the bundle says, track with --update-bundle."
         )
+
+
+def _tracking(path: Path) -> tuple[dict[str, float], float, dict[str, dict[str, float]] | None]:
+    """The features' sd, the time of end-systole and the shrinkage (or None) that tracking.json tells. Raises InputError."""
+    info = read_json(path)
+    sd, phases, shrinkage = (info.get(key) if isinstance(info, dict) else None for key in ("sd", "phases", "shrinkage"))
+    if not isinstance(sd, dict) or not isinstance(phases, dict) or not _is_number(phases.get("es")):
+        raise InputError(f"{path}: no sd or phases in it; track again.")
+    if wrong := next((name for name, value in sd.items() if not _is_number(value)), None):
+        raise InputError(f"{path}: sd.{wrong} is {brief(sd[wrong])}, not a number; track again.")
+    parts = shrinkage.values() if isinstance(shrinkage, dict) else () if shrinkage is None else (None,)
+    if not all(isinstance(part, dict) and _is_number(part.get("sd")) and _is_number(part.get("share")) for part in parts):
+        raise InputError(f"{path}: its shrinkage is damaged; track again.")
+    return {name: float(value) for name, value in sd.items()}, float(phases["es"]), shrinkage
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def _table(path: Path) -> pd.DataFrame:

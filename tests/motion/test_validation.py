@@ -82,6 +82,40 @@ def test_bad_input_is_one_message(tmp_path: Path) -> None:
         compare(damaged, course(), {})
 
 
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("[1, 2]", "no sd or phases"),
+        ('"text"', "no sd or phases"),
+        ({"sd": {"d_roof_mm": "wide"}}, r"sd\.d_roof_mm is 'wide', not a number"),
+        ({"sd": {"d_roof_mm": None}}, r"sd\.d_roof_mm is None, not a number"),
+        ({"sd": {"d_roof_mm": [0.1]}}, r"sd\.d_roof_mm is \[0\.1\], not a number"),
+        ({"phases": {"es": True}}, "no sd or phases"),
+        ({"shrinkage": {"d": {"sd": 0.1}}}, "shrinkage is damaged"),
+        ({"shrinkage": {"d": {"sd": 0.1, "share": "half"}}}, "shrinkage is damaged"),
+    ],
+)
+def test_a_tracking_that_holds_something_else_is_one_message(tmp_path: Path, content: object, words: str) -> None:
+    run, motion = folders(tmp_path)
+    whole = json.loads((motion / "tracking.json").read_text())
+    text = content if isinstance(content, str) else json.dumps(whole | content)  # type: ignore[operator]
+    (motion / "tracking.json").write_text(text)
+    with pytest.raises(InputError, match=rf"tracking\.json: .*{words}.*track again"):
+        validate(run, motion)
+
+
+@pytest.mark.parametrize("column", ["time", "d_roof_mm"])
+@pytest.mark.parametrize("whose", ["simulated", "tracked"])
+def test_a_word_among_the_numbers_is_told_with_its_place(tmp_path: Path, column: str, whose: str) -> None:
+    run, motion = folders(tmp_path)
+    file = (run if whose == "simulated" else motion) / "transients.csv"
+    frame = pd.read_csv(file, dtype=str)
+    frame.loc[2, column] = "oops"
+    frame.to_csv(file, index=False)
+    with pytest.raises(InputError, match=rf"run against .*: the {whose} transients: column {column}, row 3 holds 'oops'"):
+        validate(run, motion)
+
+
 def at_terminal(*arguments: str) -> str:
     result = CliRunner().invoke(build({"validate"}), ["validate", *arguments], catch_exceptions=False)
     assert result.exit_code == 0

@@ -12,6 +12,7 @@ from scipy.interpolate import CubicSpline
 from lacli.base.arrays import BoolArray, FloatArray
 from lacli.base.errors import InputError
 from lacli.contracts.features import KEYS, family, kind_of, parse
+from lacli.contracts.tables.columns import numbers
 from lacli.motion.errors.shrinkage import spread
 
 SAME_TIME = 0.02  # of the cycle: a target so near to a frame has used it
@@ -82,22 +83,21 @@ def compare(
     targets: names that the calibration used (``n_roof_mm@0.3``); one without a time is of ``es_time``, whose nearest frame counts
     as used. sd, shrinkage: of the tracked features, as in tracking.json. Between simulated states a cubic spline is taken.
     Volumes are compared by their change from end-diastole, since mesh and image may enclose a little more or less there. Raises
-    InputError where the tables lack times or share no feature or frame.
+    InputError where the tables lack times, share no feature or frame, or hold a word for a number.
     """
-    for name, table in (("simulated", simulated), ("tracked", tracked)):
-        if "time" not in table or len(table) < 2 or not np.all(np.diff(table["time"].to_numpy(dtype=float)) > 0):
-            raise InputError(f"the {name} transients need a column time that increases over two rows or more.")
     keys = tuple(key for key in tracked if key in KEYS and key in simulated)
+    told = {"simulated": simulated, "tracked": tracked}
+    simulated, tracked = (_read(table, keys, f"the {name} transients") for name, table in told.items())
     if not keys:
         raise InputError(
             "the simulated and the tracked transients share no feature; are they of `lacli simulate` and `lacli track`?"
         )
-    t, all_times = simulated["time"].to_numpy(dtype=float), tracked["time"].to_numpy(dtype=float)
+    t, all_times = simulated["time"].to_numpy(), tracked["time"].to_numpy()
     later = all_times > 0.0
     here = later & (all_times >= t[0]) & (all_times <= t[-1] + 1e-9)
     if not here.any():
         raise InputError(f"no tracked frame after end-diastole lies in the simulated part of the cycle ({t[0]:g} to {t[-1]:g}).")
-    values = [table[list(keys)].to_numpy(dtype=float, copy=True) for table in (simulated, tracked)]
+    values = [table[list(keys)].to_numpy(copy=True) for table in (simulated, tracked)]
     for array in values:
         for j, key in enumerate(keys):
             if key == "volume_ml":
@@ -113,6 +113,14 @@ def compare(
     error[~(error > 0)] = np.nan
     used = _used(all_times[here], keys, targets, es_time)
     return Validation(all_times[here], keys, np.asarray(got), given, error, used, int(later.sum() - here.sum()))
+
+
+def _read(table: pd.DataFrame, keys: tuple[str, ...], what: str) -> pd.DataFrame:
+    """Times and features as numbers, of a table that has times."""
+    found = numbers(table[["time", *keys]], what) if "time" in table else None
+    if found is None or len(found) < 2 or not np.all(np.diff(found["time"].to_numpy()) > 0):
+        raise InputError(f"{what} need a column time that increases over two rows or more.")
+    return found
 
 
 def _used(times: FloatArray, keys: tuple[str, ...], targets: Iterable[str], es_time: float | None) -> BoolArray:
