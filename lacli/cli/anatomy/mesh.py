@@ -8,26 +8,17 @@ from typing import Annotated, Any
 import typer
 
 from lacli.api import anatomy
+from lacli.base.errors import UsageError
 from lacli.cli.terminal.console import err, one_bar, out, print_json, print_table
-
-
-def _presets(asked: bool) -> None:
-    if not asked:
-        return
-    from lacli.anatomy.inputs.labelled import PRESETS
-
-    for name, (labels, of) in PRESETS.items():
-        out.print(f"{name}: {labels}\n    {of}", highlight=False, soft_wrap=True)
-    raise typer.Exit
 
 
 def command(
     source: Annotated[
-        Path,
+        Path | None,
         typer.Argument(
             metavar="INPUT", help="Label map (.nrrd .nii .nii.gz .mha .mhd) or surface (.vtp .vtk .stl .ply .obj, CARP .elem)."
         ),
-    ],
+    ] = None,
     folder: Annotated[Path, typer.Option("--out", "-o", help="Folder of the bundle.")] = Path("anatomy"),
     la: Annotated[
         int | None, typer.Option("--la", help="Label of the left atrium's blood; needed if the map has several labels.")
@@ -45,9 +36,7 @@ def command(
     preset: Annotated[
         str | None, typer.Option("--preset", help="Labels by the name of a published set; --presets prints them.")
     ] = None,
-    presets: Annotated[
-        bool, typer.Option("--presets", help="Print the sets that --preset knows, and end.", is_eager=True, callback=_presets)
-    ] = False,
+    presets: Annotated[bool, typer.Option("--presets", help="Print the sets that --preset knows, and end.")] = False,
     cell_size_mm: Annotated[
         float,
         typer.Option("--cell-size-mm", help="Edge length of the cells, mm; how accuracy and cost depend on it: README."),
@@ -93,6 +82,11 @@ def command(
 
     Example: lacli mesh heart.nii.gz --la 2 --lv 3 --cell-size-mm 4 --out anatomy
     """
+    if presets:
+        _show_presets(as_json)
+        return
+    if source is None:
+        raise UsageError("give an INPUT: a label map or a surface. `lacli mesh --help` says which files are read.")
     with one_bar("reading") as show:
         made = anatomy.mesh(
             source, folder, la=la, lv=lv, wall=wall, labels=labels, preset=preset,
@@ -106,6 +100,16 @@ def command(
         print_json({**made.report, "folder": str(folder), "pictures": list(made.pictures)})
     else:
         _show(made.report, folder, list(made.pictures))
+
+
+def _show_presets(as_json: bool) -> None:
+    from lacli.anatomy.inputs.labelled import PRESETS
+
+    if as_json:
+        print_json({name: {"labels": labels, "of": of} for name, (labels, of) in PRESETS.items()})
+        return
+    for name, (labels, of) in PRESETS.items():
+        out.print(f"{name}: {labels}\n    {of}", highlight=False, soft_wrap=True)
 
 
 def _show(report: dict[str, Any], folder: Path, drawn: list[str]) -> None:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import tracemalloc
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from typer.testing import CliRunner, Result
 
 from lacli.anatomy.inputs import labelled
 from lacli.anatomy.inputs.image import Image
 from lacli.anatomy.openings.candidate import VEIN
 from lacli.base.errors import AnatomyError, UsageError
+from lacli.cli.main import build
 
 
 def test_names_numbers_and_pairs() -> None:
@@ -58,6 +61,18 @@ def test_every_set_is_readable_and_leaves_out_what_is_not_there() -> None:
     assert labelled.preset("totalsegmentator", {2, 53}) == labelled.Meaning(2, None, None, {53: VEIN})
     with pytest.raises(UsageError, match="mmwhs"):
         labelled.preset("mmwsh", set())
+
+
+def test_the_sets_are_printed_as_text_and_as_one_document() -> None:
+    def shown(*words: str) -> Result:
+        return CliRunner().invoke(build({"mesh"}), ["mesh", *words])
+
+    for words in (("--presets", "--json"), ("--json", "--presets")):
+        document = json.loads(shown(*words).stdout)
+        assert document == {name: {"labels": labels, "of": of} for name, (labels, of) in labelled.PRESETS.items()}
+    assert f"totalsegmentator: {labelled.PRESETS['totalsegmentator'][0]}" in shown("--presets").stdout
+    said = shown("--json").exception
+    assert isinstance(said, UsageError) and "give an INPUT" in str(said)
 
 
 def block() -> Image:
