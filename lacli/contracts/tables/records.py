@@ -89,7 +89,13 @@ MANIFEST: tuple[Field, ...] = (
 
 # tables of runs, beside inputs and outputs; what `design` and `calibrate` write, and any table may have
 TABLE: tuple[Field, ...] = (
-    Field(STATUS, "", "`done` (or `ok`, `success`, `converged`, `true`, `1`); anything else counts as failed"),
+    Field(
+        STATUS,
+        "",
+        "`done` (or `ok`, `success`, `converged`, ...); `failed` (or `error`, `diverged`, `timeout`, ...); of runs that never "
+        "finished (`killed`, `pending`, `running`, `cancelled`, ...), which are left out; an empty cell, or any other word, is "
+        "refused with the words that are known",
+    ),
     Field("kind", "", "kind of failure"),
     Field("message", "", "what was said of it", always=False),
     Field("cpu_s", "s", "cost"),

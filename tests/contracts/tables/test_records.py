@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from shapes import cut_ball
 
@@ -17,6 +19,7 @@ from lacli.contracts.features import FEATURES
 from lacli.contracts.identity import identify
 from lacli.contracts.scene import build_scene
 from lacli.contracts.tables import records
+from lacli.contracts.tables.columns import DONE, FAILED, UNFINISHED, run_states
 from lacli.contracts.tables.records import Field
 from lacli.contracts.targets import read_targets
 from lacli.inference.runs import Outcome, RunLog
@@ -69,3 +72,18 @@ def test_targets_take_the_keys_that_are_said_and_no_other(key: str, tmp_path: Pa
     file.write_text("[d_roof_mm]\nmean = 1.0\nsd = 0.1\nweight = 2\n", encoding="utf-8")
     with pytest.raises(TableError, match="weight"):
         read_targets(file)
+
+
+def test_words_of_status_are_taken_as_the_page_says() -> None:
+    said = next(field.text for field in records.TABLE if field.key == "status")
+    done, failed, unfinished, refused = said.split(";")
+    for text, known in ((done, DONE), (failed, FAILED), (unfinished, UNFINISHED)):
+        words = re.findall("`(.*?)`", text)
+        assert words and set(words) <= known
+    assert "an empty cell, or any other word, is refused" in refused
+    frame = pd.DataFrame({"status": ["done", "failed", "killed"]})
+    states = run_states(frame, "t.csv")
+    assert states is not None and [list(state) for state in states] == [[True, False, False], [False, True, False]]
+    for cell in (None, "odd"):
+        with pytest.raises(TableError, match=r"t\.csv: status is .* in row 2 .*Finished runs: "):
+            run_states(pd.DataFrame({"status": ["done", cell]}), "t.csv")
