@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lacli.base.errors import UsageError
+from lacli.base.notes import note
 from lacli.contracts.features import KEYS, at_time, parse
 from lacli.contracts.motion import FILE as MOTION
 from lacli.contracts.parameters import QUANTITIES
@@ -102,13 +103,17 @@ def simulator(
     targets: names of outputs that will be held against it; those at times of the cycle (``n_septum_mm@0.2``) make its frames.
     sensitivities: whether runs tell their derivatives (where the scene can: the compiled engine, prestrain). Neither fields nor
     the unloaded state are computed (a calibration makes hundreds of runs and reads their features). warm: whether runs start
-    from those that have ended. discretisation: whether they tell the errors that were measured for the scene (no, where what they
-    are held against has the same).
+    from those that have ended; a note says where none can. discretisation: whether they tell the errors that were measured for
+    the scene (no, where what they are held against has the same).
     """
     from lacli.base.files import check_folder
+    from lacli.mechanics.warm import lacking
 
     check_folder(root, "--store")
-    return SceneSimulator(asked(scene, targets, sensitivities), root, workers, scheduler, warm, discretisation)
+    chosen = asked(scene, targets, sensitivities)
+    if warm and (words := lacking(chosen)):
+        note(f"all runs start cold: {words}.")
+    return SceneSimulator(chosen, root, workers, scheduler, warm, discretisation)
 
 
 def asked(scene: Scene, targets: Sequence[str], sensitivities: bool = True) -> Scene:

@@ -23,11 +23,14 @@ from typing import Any
 import numpy as np
 
 from lacli.base.arrays import FloatArray
+from lacli.base.errors import SolverMissingError
 from lacli.base.files import replacing
 from lacli.contracts.case import Case
 from lacli.contracts.identity import content_hash, determinants, flatten
 from lacli.contracts.parameters import QUANTITIES, STUDY
 from lacli.contracts.scene import Scene
+from lacli.freefem.plugins import plugin_obstacle
+from lacli.freefem.program import find
 from lacli.mechanics.results import EQUILIBRIA, Results
 from lacli.mechanics.sensitivities import INPUTS
 
@@ -57,6 +60,30 @@ def family(scene: Scene) -> str:
     """What two scenes share whose runs may start from each other: all but the study's inputs. Raises AnatomyError."""
     free = {QUANTITIES[name].key for name in STUDY}
     return content_hash({key: value for key, value in flatten(determinants(scene)).items() if key not in free})
+
+
+def lacking(scene: Scene) -> str:
+    """Why no run of the scene starts warm, whatever has ended before, in words; '' where runs may."""
+    numerics = scene.numerics
+    if numerics.unloading != "prestrain":
+        return 'warm starts need numerics.unloading = "prestrain"'
+    if not scene.outputs.sensitivities:
+        return "warm starts need the runs' derivatives; leave --no-sensitivities out"
+    if numerics.rest_sweeps:
+        return "warm starts need the runs' derivatives, which there are only with numerics.rest_sweeps = 0"
+    if numerics.settle_ed:
+        return "warm starts need runs whose end-diastole is the image's; set numerics.settle_ed to false"
+    return _without_engine(numerics.engine)
+
+
+def _without_engine(engine: str) -> str:
+    obstacle = None
+    if engine == "auto":
+        with contextlib.suppress(SolverMissingError):  # without FreeFEM there is no run, and that is said by the first
+            obstacle = plugin_obstacle(find())
+    elif engine == "script":
+        obstacle = 'numerics.engine is "script"'
+    return f"warm starts need the compiled engine, and {obstacle}" if obstacle else ""
 
 
 def inputs(scene: Scene) -> FloatArray:

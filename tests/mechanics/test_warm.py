@@ -11,6 +11,7 @@ import pytest
 from shapes import cut_ball
 
 from lacli.anatomy.wall.shell import mesh_shell
+from lacli.calibration.simulator import simulator
 from lacli.contracts import bundle as bundles
 from lacli.contracts.scene import Scene, build_scene, with_parameters
 from lacli.freefem.program import FreeFem
@@ -145,3 +146,33 @@ def test_states_of_runs_with_unstable_modes_are_not_kept(scene: Scene, tmp_path:
     numbers = {"ed_modes": {"unstable": 1.0}, "es_modes": {"unstable": 0.0}}
     assert not warm.keep(plan.prepare(scene), Results({}, numbers), tmp_path, tmp_path)
     assert not states(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("numerics.unloading=backward", 'numerics.unloading = "prestrain"'),
+        ("outputs.sensitivities=false", "leave --no-sensitivities out"),
+        ("numerics.rest_sweeps=3", "numerics.rest_sweeps = 0"),
+        ("numerics.settle_ed=true", "numerics.settle_ed to false"),
+        ("numerics.engine=script", 'compiled engine, and numerics.engine is "script"'),
+        ("numerics.engine=auto", "compiled engine, and there is no C++ compiler"),
+    ],
+)
+def test_where_no_run_can_start_warm_is_said_once(
+    override: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[str] = []
+    monkeypatch.setattr("lacli.calibration.simulator.note", told.append)
+    monkeypatch.setattr(warm, "find", lambda: None)
+    monkeypatch.setattr(warm, "plugin_obstacle", lambda _: "there is no C++ compiler: install one")
+    settings = ["outputs.sensitivities=true", "numerics.engine=plugin", override]
+    chosen = build_scene({"anatomy": {"bundle": "la"}}, settings, folder=tmp_path, where="test")
+    derivatives = chosen.outputs.sensitivities
+    simulator(chosen, tmp_path / "runs", sensitivities=derivatives)
+    assert told == []
+    simulator(chosen, tmp_path / "runs", sensitivities=derivatives, warm=True)
+    assert len(told) == 1 and told[0].startswith("all runs start cold: ") and words in told[0]
+    able = build_scene({"anatomy": {"bundle": "la"}}, settings[:2], folder=tmp_path, where="test")
+    simulator(able, tmp_path / "runs", warm=True)
+    assert len(told) == 1

@@ -14,7 +14,7 @@ from lacli.base.errors import LacliError, UsageError
 from lacli.cli.inference.sought import carriers, seek_and_show, show_forecast, show_posterior, show_prices, time_of
 from lacli.cli.terminal.console import err, out, print_json, print_table
 from lacli.cli.terminal.scenes import read_scene
-from lacli.cli.terminal.tables import BoxFile, Fresh, Json, Retry, Seed
+from lacli.cli.terminal.tables import BoxFile, Fresh, Json, Retry, Seed, Warm
 
 if TYPE_CHECKING:
     from lacli.api.methods.calibrated import Calibrated, Recovered
@@ -65,7 +65,7 @@ def command(
     sensitivities: Annotated[
         bool, typer.Option("--sensitivities/--no-sensitivities", help="Runs tell their derivatives, where the scene can.")
     ] = True,
-    warm: Annotated[bool, typer.Option("--warm/--cold", help="Runs start from the nearest one that has ended.")] = False,
+    warm: Warm = False,
     discretisation: Annotated[
         bool,
         typer.Option(

@@ -10,7 +10,7 @@ import typer
 from lacli.base.errors import UsageError
 from lacli.cli.terminal.console import err, out, print_json, print_table, stages
 from lacli.cli.terminal.scenes import read_scene
-from lacli.cli.terminal.tables import BoxFile, Fresh, Json, Retry, Seed
+from lacli.cli.terminal.tables import BoxFile, Fresh, Json, Retry, Seed, Warm
 
 
 def command(
@@ -37,7 +37,7 @@ def command(
             help="Runs tell their derivatives, where the scene can: columns d<output>/d<input>, in units of both.",
         ),
     ] = True,
-    warm: Annotated[bool, typer.Option("--warm/--cold", help="Runs start from the nearest one that has ended.")] = False,
+    warm: Warm = False,
     fresh: Fresh = False,
     retry: Retry = False,
     seed: Seed = 0,

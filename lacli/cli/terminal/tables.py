@@ -31,6 +31,14 @@ Fresh = Annotated[
     bool, typer.Option("--fresh", help="Where --out holds something else, start in a sub-folder of its own (fresh_1, ...).")
 ]
 Retry = Annotated[bool, typer.Option("--retry", help="Try again what the machine has ended three times.")]
+Warm = Annotated[
+    bool,
+    typer.Option(
+        "--warm/--cold",
+        help="Runs start from the nearest one that has ended, where they tell derivatives (the compiled engine, "
+        "unloading by prestrain, no rest_sweeps); else they start cold, and a note says so.",
+    ),
+]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of all random numbers.")]
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")]
 
