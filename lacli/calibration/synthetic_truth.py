@@ -76,16 +76,25 @@ def truth_identity(simulator: Simulator, box: Box, names: Sequence[str], truth: 
 
 
 def verify(
-    simulator: Simulator, box: Box, names: Sequence[str], truth: FloatArray, settings: Settings, folder: Path, monitor: Monitor
+    simulator: Simulator,
+    box: Box,
+    names: Sequence[str],
+    truth: FloatArray,
+    settings: Settings,
+    folder: Path,
+    monitor: Monitor,
+    retry: bool = False,
 ) -> list[Recovery]:
     """Calibrate at each noise level against a simulation at ``truth`` (d,); runs are shared between the levels.
+
+    retry: as of ``RunLog``.
 
     Raises LacliError if the simulation at the truth fails.
     """
     identity = truth_identity(simulator, box, names, truth, settings)
     if words := obstacle(folder, identity):
         raise UsageError(f"{folder} {words}. Choose another --out.")
-    log = RunLog(folder / "runs.csv", box.names, logged(names), runs_identity(simulator, box.names, logged(names)))
+    log = RunLog(folder / "runs.csv", box.names, logged(names), runs_identity(simulator, box.names, logged(names)), retry)
     log.run(simulator, truth[None])
     row = log.frame(truth[None]).iloc[0]
     if str(row["status"]) != "done":

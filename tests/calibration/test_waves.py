@@ -147,6 +147,27 @@ def test_verification_by_synthetic_truth(tmp_path):
     assert simulator.count == 1 + 40 + 2 * 4  # the truth, one wave for both levels, the answer and three draws of each
 
 
+def test_a_verification_tries_again_what_the_machine_ended(tmp_path):
+    """The truth's own run, ended three times, is given up until it is asked for again."""
+
+    class Ended(Simulator):
+        def __call__(self, inputs):
+            self.count += len(inputs)
+            yield from ((i, Outcome({}, "failed", "out_of_memory")) for i in range(len(inputs)))
+
+    def verified(simulator, retry):
+        return verify(simulator, BOX, NAMES, TRUTH, replace(SETTINGS, max_waves=1), tmp_path, lambda status: None, retry)
+
+    for simulator, asked in ((Ended(), 3), (Ended(), 0)):
+        with pytest.raises(LacliError, match=r"ended by the machine 3 times or more.*call again with --retry"):
+            verified(simulator, False)
+        assert simulator.count == asked
+    again = Simulator(limit=1)
+    with pytest.raises(KeyboardInterrupt):  # the truth is run, and the first wave begins
+        verified(again, True)
+    assert again.count == 1 and (pd.read_csv(tmp_path / "runs.csv")["status"] == "done").all()
+
+
 def test_failures_are_counted_and_avoided(tmp_path):
     simulator = Simulator(fails=lambda x: x[:, 0] < 0.6)
     result = run(tmp_path, simulator, replace(SETTINGS, max_waves=2))

@@ -100,7 +100,7 @@ def recover(scene: Scene, truth: Mapping[str, float], folder: Path, settings: Se
     folder = _settle(folder, lambda place: obstacle(place, identity), of_runs, work.fresh)
     hear = _Listener(work.progress, work.cancel)
     with working_on(folder):
-        levels = verify(run, box, OUTPUTS, x, settings, folder, hear)
+        levels = verify(run, box, OUTPUTS, x, settings, folder, hear, work.retry)
     superseded(folder, drawing.RECOVERY, *(f"{r.level}/{name}" for r in levels for name in drawing.FIGURES))
     pictures: list[Path] = []
     if work.figures:

@@ -182,7 +182,7 @@ def command(
         with _dashboard() as show:
             recovered = api.calibrate(
                 scene, None, folder, method="published", truth=_truth(truth, box), box=box, settings=settings, store=root,
-                workers=workers, scheduler=scheduler, fresh=fresh, figures=figures, progress=show,
+                workers=workers, scheduler=scheduler, fresh=fresh, retry=retry, figures=figures, progress=show,
             )  # fmt: skip
         _show_recovery(recovered, as_json, time.monotonic() - begin)
         return
