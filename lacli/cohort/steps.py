@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,11 @@ from lacli.cohort.participants import Participant
 UNIFORM = "uniform"  # the model of one thickness everywhere; the column of its bundle
 COMMANDS = ("mesh", "fat", "track", "calibrate", "compare")
 SLURM = ("time", "memory", "cpus", "account", "partition", "modules", "limit", "interface")
+# options of a calibration that say what is run and how: nothing where a table holds the runs
+OF_RUNS = (
+    *("set", "store", "workers", "scheduler", "warm", "retry", "sensitivities", "discretisation-error", "infer-errors"),
+    *("first-runs", "wave-runs", "max-waves", "max-runs", "hours", "cheap", "reference-runs"),
+)
 _OPTION = re.compile(r"[a-z][a-z0-9-]*")
 _PLAIN = re.compile(r"[A-Za-z0-9_./:=+,@ -]{1,200}")
 READ = ("box", "landmarks", "fibres", "labels")  # options whose value names a file that the command reads
@@ -30,10 +35,12 @@ class Settings:
     options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     slurm: Mapping[str, Any] = field(default_factory=dict)
 
-    def arguments(self, command: str) -> list[str]:
-        """The command's options as arguments."""
+    def arguments(self, command: str, without: Collection[str] = ()) -> list[str]:
+        """The command's options as arguments, but for those that do nothing in this call of it."""
         words: list[str] = []
         for name, value in self.options.get(command, {}).items():
+            if name in without:
+                continue
             if value is True:
                 words.append(f"--{name}")
             elif value is False:
@@ -124,7 +131,9 @@ def steps_of(patient: Participant, settings: Settings, folder: Path, scene: Path
         command = name.partition("_")[0]
         own = paths[UNIFORM] if name.endswith(f"_{UNIFORM}") else bundle
         read = dict.fromkeys([*reads, *settings.reads(command, folder, own)])
-        steps.append(Step(name, (command, *words, *settings.arguments(command)), tuple(read), product, beside))
+        # all patients share the options; those whose runs are done need none of the runs'
+        without = OF_RUNS if command == "calibrate" and table is not None else ()
+        steps.append(Step(name, (command, *words, *settings.arguments(command, without)), tuple(read), product, beside))
 
     if table is None:
         # tracking puts the annulus' motion into a bundle that is the study's own, and changes nothing else of it

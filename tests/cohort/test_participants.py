@@ -53,6 +53,17 @@ def test_the_steps_follow_the_files(home: Path) -> None:
         steps_of(patients[1], Settings(), home, None)
 
 
+def test_a_table_s_calibration_takes_no_options_of_runs(home: Path) -> None:
+    """Settings are shared: what says how to run is for those who are simulated, the rest for both."""
+    shared = {"calibrate": {"workers": 2, "retry": True, "discretisation-error": False, "set": ["a=1"], "ess": 300}}
+    table, simulated = (
+        steps_of(p, Settings(shared), home / "out", home / "scene.toml")[0].arguments
+        for p in read_participants(_table(home, "a,60,F,,,,,targets.toml,runs.csv", "b,60,F,,bundle,,,targets.toml,"))
+    )
+    assert table[-2:] == ("--ess", "300") and not {"--workers", "--retry", "--no-discretisation-error", "--set"} & set(table)
+    assert {"--workers", "--retry", "--no-discretisation-error", "a=1", "--ess"} <= set(simulated)
+
+
 def test_what_is_known_of_a_patient_s_pressures_goes_to_the_tracking(home: Path) -> None:
     (home / "mine.toml").write_text("[priors.edp_mmhg]\nmean = 8.0\nsd = 1.5\n")
     file = home / "participants.csv"

@@ -10,10 +10,12 @@ import typer
 from lacli.api import anatomy
 from lacli.base.errors import UsageError
 from lacli.cli.terminal.console import one_bar, print_json, print_table
+from lacli.cli.terminal.modes import refuse
 from lacli.contracts.labels import BODY_REGIONS
 
 
 def command(
+    ctx: typer.Context,
     out: Annotated[Path, typer.Argument(help="Folder to write (the bundle; with --cohort one folder per atrium in it).")],
     seed: Annotated[int, typer.Option(help="Seed of the shape; a cohort takes this one and the following.")] = 1,
     volume_ml: Annotated[float | None, typer.Option(help="Cavity volume, mL. Default: the seed's own, 47 - 135 mL.")] = None,
@@ -70,13 +72,13 @@ def command(
 
     Example: lacli synthesize patient --gated --frames 10 --voxel-mm 1.0
     """
+    _refuse_ignored(ctx, image, gated, arm)
     with one_bar("synthesizing") as show:
         made = anatomy.synthesize(
             out, seed=seed, volume_ml=volume_ml, thickness_mm=thickness_mm, cell_size_mm=cell_size_mm, order=order, frames=frames,
             descent_mm=descent_mm, cohort=cohort, image=image, voxel_mm=voxel_mm, gated=gated, noise_hu=noise_hu, blur=blur,
             motion_blur=motion_blur, contrast_drift_hu=contrast_drift_hu, heart_rate=heart_rate,
-            parameters=_parameters(parameter or []) if gated else {}, arm=arm, targets=targets,
-            progress=show,
+            parameters=_parameters(parameter or []), arm=arm, targets=targets, progress=show,
         )  # fmt: skip
     rows = [one.report for one in made]
     if as_json:
@@ -103,6 +105,18 @@ def command(
         )
     else:
         _show(out, rows)
+
+
+def _refuse_ignored(ctx: typer.Context, image: bool, gated: bool, arm: str | None) -> None:
+    acquisition = ("--noise-hu", "--blur", "--heart-rate", "--motion-blur", "--contrast-drift-hu", "--parameter")
+    if not gated:
+        refuse(ctx, "without --gated", *acquisition)
+    elif arm is None:
+        refuse(ctx, "with --gated, whose frames are images", "--image")
+    if not gated and not image:
+        refuse(ctx, "without --image or --gated", "--voxel-mm")
+    if arm is None:
+        refuse(ctx, "without --arm", "--targets")
 
 
 def _show(out: Path, rows: list[dict[str, Any]]) -> None:

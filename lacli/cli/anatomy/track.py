@@ -10,9 +10,11 @@ import typer
 from lacli.api import motion as api
 from lacli.base.errors import UsageError
 from lacli.cli.terminal.console import err, one_bar, out, print_json, print_table
+from lacli.cli.terminal.modes import refuse
 
 
 def command(
+    ctx: typer.Context,
     images: Annotated[
         list[Path],
         typer.Argument(
@@ -66,6 +68,14 @@ def command(
 
     Example: lacli track ct/phase_*.nii.gz --bundle anatomy --out motion --times 0,10,20,30,40,50,60,70,80,90
     """
+    if motion != "images":
+        refuse(ctx, f"with --motion {motion}", "--engine", "--work-mm", "--workers", "--known-motions", "--harmonics")
+    if motion in ("images", "labels"):
+        refuse(ctx, f"with --motion {motion}", "--axes")
+    if motion != "labels":
+        refuse(ctx, f"with --motion {motion}", "--label")
+    if published:
+        refuse(ctx, "with --published, whose targets are of end-systole", "--at")
     with one_bar("tracking") as show:
         found = api.track(
             images, bundle, folder, times=_numbers(times, "--times"), engine=engine, motion=motion, axes=axes, label=label,

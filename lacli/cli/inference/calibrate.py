@@ -13,6 +13,7 @@ import typer
 from lacli.base.errors import LacliError, UsageError
 from lacli.cli.inference.sought import carriers, seek_and_show, show_forecast, show_posterior, show_prices, time_of
 from lacli.cli.terminal.console import err, out, print_json, print_table
+from lacli.cli.terminal.modes import refuse
 from lacli.cli.terminal.scenes import read_scene
 from lacli.cli.terminal.tables import BoxFile, Fresh, Json, Retry, Seed, Warm
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 
 def command(
+    ctx: typer.Context,
     scene_file: Annotated[Path | None, typer.Argument(metavar="[SCENE]", help="The patient's scene, a TOML file.")] = None,
     targets_file: Annotated[Path | None, typer.Option("--targets", help="Targets: mean and sd of each feature (TOML).")] = None,
     from_table: Annotated[
@@ -128,6 +130,7 @@ def command(
         raise UsageError("--from-table needs --targets.")
     if method not in (None, "published", "sequential"):
         raise UsageError(f"--method {method}: must be published or sequential.")
+    _refuse_ignored(ctx, from_table is not None, synthetic, dry_run)
     begin = time.monotonic()
     of_waves = [option for option, value in (("--first-runs", first), ("--wave-runs", following), ("--max-waves", max_waves),
                                              ("--hours", hours), ("--prior", prior)) if value is not None]  # fmt: skip
@@ -164,6 +167,7 @@ def command(
         raise UsageError(f"{alone}: of the sequential method, which needs a SCENE whose runs tell derivatives, and --targets.")
     if forecast:
         raise UsageError("--forecast: of the sequential method, which needs a SCENE whose runs tell derivatives, and --targets.")
+    refuse(ctx, "by the published method", "--infer-errors")
     settings = Settings(
         first_runs=first or Settings.first_runs,
         wave_runs=following or Settings.wave_runs,
@@ -195,6 +199,20 @@ def command(
             discretisation=discretisation, warm=warm,
         )  # fmt: skip
     _finish(found, as_json, time.monotonic() - begin)
+
+
+def _refuse_ignored(ctx: typer.Context, of_table: bool, synthetic: bool, dry_run: bool) -> None:
+    from lacli.cohort.steps import OF_RUNS
+
+    if of_table:
+        refuse(ctx, "with --from-table, whose runs are done", "SCENE", *(f"--{name}" for name in OF_RUNS))
+    if synthetic:
+        # its runs tell no derivatives, which warm starts need; its truth has the very numerics of its runs
+        refuse(ctx, "with --synthetic-truth", "--warm", "--sensitivities", "--discretisation-error", "--infer-errors")
+    else:
+        refuse(ctx, "without --synthetic-truth", "--truth")
+    if dry_run:
+        refuse(ctx, "with --dry-run, which makes no run", "--forecast")
 
 
 def _default_method(scene_file: Path, overrides: list[str] | None) -> str:

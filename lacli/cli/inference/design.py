@@ -9,11 +9,13 @@ import typer
 
 from lacli.base.errors import UsageError
 from lacli.cli.terminal.console import err, out, print_json, print_table, stages
+from lacli.cli.terminal.modes import refuse
 from lacli.cli.terminal.scenes import read_scene
 from lacli.cli.terminal.tables import BoxFile, Fresh, Json, Retry, Seed, Warm
 
 
 def command(
+    ctx: typer.Context,
     scene_file: Annotated[Path | None, typer.Argument(metavar="[SCENE]", help="Scene to run at the points (with --run).")] = None,
     count: Annotated[int, typer.Option("-n", "--count", min=1, help="Number of points.")] = 200,
     method: Annotated[str, typer.Option(help="sobol, lhs or maximin.")] = "sobol",
@@ -52,6 +54,12 @@ def command(
 
     if run and scene_file is None:
         raise UsageError("--run needs a scene: lacli design SCENE --run.")
+    if not run:
+        refuse(ctx, "without --run", "SCENE", "--store", "--workers", "--scheduler", "--sensitivities", "--warm", "--retry")
+    if box_file is not None:
+        refuse(ctx, "with --box, which names the inputs", "--input", "--all-inputs")
+    if names:
+        refuse(ctx, "with --input", "--all-inputs")
     box = read_box(box_file) if box_file else published_box(names or (SENSITIVITY_INPUTS if all_inputs else CALIBRATION_INPUTS))
     scene = read_scene(scene_file, box=box) if scene_file is not None and run else None
     with stages() as show:

@@ -10,6 +10,7 @@ import typer
 from lacli.api import inference
 from lacli.base.errors import UsageError
 from lacli.cli.terminal.console import err, out, print_json, print_table
+from lacli.cli.terminal.modes import refuse
 from lacli.cli.terminal.tables import (
     BoxFile,
     Emulators,
@@ -24,6 +25,7 @@ from lacli.cli.terminal.tables import (
 
 
 def command(
+    ctx: typer.Context,
     targets_file: Annotated[Path, typer.Option("--targets", help="Targets: mean and sd of each feature (TOML).")],
     inputs: Inputs = None,
     outputs: Outputs = None,
@@ -59,6 +61,8 @@ def command(
     emulators, table = fitted(inputs, outputs, names or list(targets.names), emulators_file, seed, box_file)
     targets = targets.select(emulators.outputs)
     box = box_of(emulators, box_file, table)
+    if not earlier:
+        refuse(ctx, "without --earlier", "--earlier-threshold")
     waves = []
     for path in earlier or []:
         before = load_emulators(path)

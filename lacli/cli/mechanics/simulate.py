@@ -12,6 +12,7 @@ from rich.text import Text
 from lacli.api import mechanics
 from lacli.base.errors import SimulationError, UsageError
 from lacli.cli.terminal.console import err, fail, out, print_json, print_table
+from lacli.cli.terminal.modes import refuse
 from lacli.cli.terminal.scenes import read_scene
 from lacli.contracts.identity import Identity, file_digest, identify, run_key
 from lacli.contracts.scene import Scene
@@ -24,6 +25,7 @@ _DRAWN = "figures.json"  # beside the pictures: what they were drawn from
 
 
 def command(
+    ctx: typer.Context,
     scene_file: Annotated[Path | None, typer.Argument(metavar="SCENE", help="The scene, a TOML file.")] = None,
     root: Annotated[Path, typer.Option("--out", help="Folder of the runs; each gets a folder of its own there.")] = Path("runs"),
     overrides: Annotated[
@@ -56,6 +58,11 @@ def command(
     """
     if sum(choice is not None for choice in (scene_file, read, again)) != 1:
         raise UsageError("give a SCENE, or --read DIR, or --rerun RUN.")
+    for option, asked in (("--read", read), ("--rerun", again)):
+        if asked is not None:
+            refuse(ctx, f"with {option}", "--out", "--set", "--equilibria", "--dry-run", "--figures", "--write")
+    if write is not None:
+        refuse(ctx, "with --write", "--out", "--dry-run", "--figures")
     if again is not None:
         _rerun(again, as_json)
         return

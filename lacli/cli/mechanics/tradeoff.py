@@ -11,12 +11,14 @@ from lacli.api import mechanics
 from lacli.base.errors import UsageError
 from lacli.cli.terminal.console import out, print_json, print_table, stages
 from lacli.cli.terminal.live import LiveLine
+from lacli.cli.terminal.modes import refuse
 from lacli.cli.terminal.scenes import read_scene
 from lacli.cli.terminal.tables import BoxFile
 from lacli.contracts.targets import read_targets
 
 
 def command(
+    ctx: typer.Context,
     scene_file: Annotated[Path, typer.Argument(metavar="SCENE", help="The scene, a TOML file.")],
     finer: Annotated[Path | None, typer.Option(help="A bundle of the same atrium with finer cells: the reference.")] = None,
     tolerance_mm: Annotated[float, typer.Option(min=1e-6, help="Largest error of a displacement that is acceptable.")] = 0.22,
@@ -44,8 +46,10 @@ def command(
     if (purpose == "calibration") != (targets_file is not None):
         raise UsageError("--for calibration and --targets go together.")
     if targets_file is not None:
+        refuse(ctx, "with --for calibration", "--record", "--tolerance-mm")
         _calibration(scene_file, targets_file, finer, tolerance_sd, root, overrides, box_file, as_json)
         return
+    refuse(ctx, "without --for calibration", "--box", "--tolerance-sd")
     scene = read_scene(scene_file, overrides)
     with LiveLine() as line:
         found = mechanics.tradeoff(
