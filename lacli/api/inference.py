@@ -209,8 +209,8 @@ def match(
     *,
     box: Box | None = None,
     earlier: Sequence[AnyEmulators] = (),
-    threshold: float = 3.0,
-    earlier_threshold: float = 3.5,
+    threshold: float | None = None,
+    earlier_threshold: float | None = None,
     count: int = 10_000,
     following: int = 100,
     runs: FloatArray | None = None,
@@ -222,7 +222,8 @@ def match(
 
     Emulators and targets are in the same units; targets of outputs without an emulator are left out. earlier: emulators of
     the earlier waves, in order, of the same inputs and outputs; threshold, earlier_threshold: implausibilities (in standard
-    deviations) from which a point is ruled out; runs (n, d): those done (default: the emulators').
+    deviations) from which a point is ruled out by this wave, and by all earlier ones (None: as a calibration, 3.5 in the first
+    wave and 3.0 after); runs (n, d): those done (default: the emulators').
     Raises NothingLeft, UsageError, LacliError where next to no run lies in the box, Cancelled.
     """
     import numpy as np
@@ -244,8 +245,9 @@ def match(
             raise UsageError(
                 "match: the emulators of an earlier wave must have the inputs and outputs of this wave, in its order."
             )
-    waves = tuple(Wave(before, targets, earlier_threshold) for before in earlier)
-    wave = Wave(emulators, targets, threshold)
+    *before_it, own = _thresholds(len(earlier), threshold, earlier_threshold)
+    waves = tuple(Wave(before, targets, bound) for before, bound in zip(earlier, before_it, strict=True))
+    wave = Wave(emulators, targets, own)
     region = Region(box, (*waves, wave))
     runs = emulators.training_inputs() if runs is None else runs
     candidates = None  # the whole box, or what the earlier waves have not ruled out
@@ -267,7 +269,18 @@ def match(
         raise NothingLeft(
             "nothing is left: at the nearest point of the box, " + ruled_out_by(wave, error.best[None])
             + ". Check the targets' units and standard deviations, or widen the box.",
-            (*said, *judge(emulators, wave.targets, box, error.best, threshold).warnings()),
+            (*said, *judge(emulators, wave.targets, box, error.best, wave.threshold).warnings()),
         ) from error  # fmt: skip
     proposed = next_runs(found.sample, following, runs) if following else np.empty((0, box.d))
     return Matching(region, found, proposed, covered.share, said)
+
+
+def _thresholds(earlier: int, own: float | None, of_earlier: float | None) -> list[float]:
+    """The threshold of each earlier wave and of this one; where none is said, that of a calibration's wave of that number."""
+    from lacli.calibration.calibration import Settings
+
+    usual = Settings().thresholds
+    found = [usual[min(number, len(usual) - 1)] for number in range(earlier + 1)]
+    if of_earlier is not None:
+        found[:-1] = [of_earlier] * earlier
+    return found if own is None else [*found[:-1], own]

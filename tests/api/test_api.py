@@ -151,9 +151,10 @@ def test_matching_leaves_what_reaches_the_target(table: lacli.types.RunTable) ->
     box = lacli.types.make_box(["a", "b"], [1.0, 1.0], [2.0, 2.0])
     there = lacli.Targets(("y",), np.array([4.5]), np.array([0.1]))
     found = lacli.match(emulators, there, box=box, count=500, following=4)
-    # y = 3 a within 3 sd = 0.3 of 4.5: a within 0.1 of 1.5, a fifth of the box (the emulator's own sd widens it a little)
-    assert found.match.share == pytest.approx(0.2, abs=0.03)
+    # y = 3 a within 3.5 sd = 0.35 of 4.5, as in a first wave: a within 0.117 of 1.5, 0.233 of the box (the emulator's own sd
+    # widens it a little)
+    assert found.match.share == pytest.approx(0.233, abs=0.03)
     assert found.next_runs.shape == (4, 2)
-    assert np.abs(found.match.sample.points[:, 0] - 1.5).max() < 0.12
+    assert np.abs(found.match.sample.points[:, 0] - 1.5).max() < 0.14
     with pytest.raises(lacli.Cancelled):
         lacli.match(emulators, there, box=box, cancel=lambda: True)

@@ -14,6 +14,7 @@ from lacli.calibration.from_table import _box_of as table_inputs
 from lacli.cli.main import build
 from lacli.contracts.scene import dump_scene
 from lacli.contracts.targets import Targets
+from lacli.inference.matching import matching
 from lacli.inference.runs import Outcome
 
 with warnings.catch_warnings():
@@ -96,7 +97,8 @@ def test_match_and_posterior(emulated):
     )
     assert 0 < found["share"] < 0.2
     left = pd.read_csv(folder / "m" / "nroy.csv")
-    assert len(left) == 500 and (left["implausibility"] < 3).all()
+    assert found["threshold"] == 3.5, "a first wave's"
+    assert len(left) == 500 and 3 < left["implausibility"].max() < 3.5
     assert len(pd.read_csv(folder / "m" / "next.csv")) == 12
     options = ("--emulators", folder / "e.npz", "--targets", folder / "t.toml", "--out", folder / "p", "--ess", 1000)
     first = document("posterior", *options)
@@ -208,6 +210,25 @@ def test_emulators_of_an_earlier_wave_need_the_same_outputs(emulated, tmp_path):
             "match", "--emulators", folder / "e.npz", "--targets", folder / "t.toml", "--earlier", tmp_path / "v.npz",
             "--out", tmp_path / "m",
         )  # fmt: skip
+
+
+def test_the_waves_have_the_thresholds_of_a_calibration(emulated, tmp_path, monkeypatch):
+    """3.5 in the first wave, 3 after; what is said of this wave, or of all earlier ones, stands."""
+    folder, _ = emulated
+    seen = []
+    wave = matching.Wave
+    monkeypatch.setattr(matching, "Wave", lambda *of: seen.append(of[2]) or wave(*of))
+    earlier = ("--earlier", folder / "e.npz", "--earlier", folder / "e.npz")
+    for options, thresholds in (
+        ((), [3.5]), (("--threshold", 2.5), [2.5]), (earlier[:2], [3.5, 3.0]), (earlier, [3.5, 3.0, 3.0]),
+        ((*earlier, "--earlier-threshold", 4, "--threshold", 2.8), [4.0, 4.0, 2.8]),
+    ):  # fmt: skip
+        seen.clear()
+        call(
+            "match", "--emulators", folder / "e.npz", "--targets", folder / "t.toml", "-n", 20, "--next", 0, "--no-figures",
+            "--out", tmp_path / "m", *options,
+        )  # fmt: skip
+        assert seen == thresholds
 
 
 def test_a_box_where_an_input_has_no_logarithm_is_refused(emulated, tmp_path):

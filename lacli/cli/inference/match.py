@@ -34,8 +34,13 @@ def command(
     earlier: Annotated[
         list[Path] | None, typer.Option("--earlier", help="Emulators of an earlier wave, in order; may be repeated.")
     ] = None,
-    threshold: Annotated[float, typer.Option(min=0.1, help="Implausibility from which a point is ruled out.")] = 3.0,
-    earlier_threshold: Annotated[float, typer.Option(min=0.1, help="The same, of the earlier waves.")] = 3.5,
+    threshold: Annotated[
+        float | None,
+        typer.Option(min=0.1, help="Implausibility from which a point is ruled out (3.5 in the first wave, 3 with --earlier)."),
+    ] = None,
+    earlier_threshold: Annotated[
+        float | None, typer.Option(min=0.1, help="The same, of all earlier waves (3.5 of the first, 3 of the others).")
+    ] = None,
     box_file: BoxFile = None,
     count: Annotated[int, typer.Option("-n", min=1, help="Points sampled uniformly from what is left.")] = 10_000,
     following: Annotated[int, typer.Option("--next", min=0, help="Runs to propose for the next wave.")] = 100,
@@ -56,13 +61,13 @@ def command(
     from lacli.inference.emulation.emulator_set import load_emulators
     from lacli.inference.given import box_of, selected
 
+    if not earlier:
+        refuse(ctx, "without --earlier", "--earlier-threshold")
     check_folder(folder)
     targets = read_targets(targets_file)
     emulators, table = fitted(inputs, outputs, names or list(targets.names), emulators_file, seed, box_file)
     targets = targets.select(emulators.outputs)
     box = box_of(emulators, box_file, table)
-    if not earlier:
-        refuse(ctx, "without --earlier", "--earlier-threshold")
     waves = []
     for path in earlier or []:
         before = load_emulators(path)
@@ -104,14 +109,15 @@ def command(
             outputs_figure([(f"{emulators.runs} runs", emulators, found.sample.points)], targets, folder / "outputs.png"),
         ]
     result = {
-        "share": found.share, "share_sd": found.share_sd, "outside_runs": outside, "threshold": threshold, "sampled": len(points),
-        "acceptance": found.sample.acceptance, "correlation": found.sample.correlation, "pictures": [str(p) for p in pictures],
+        "share": found.share, "share_sd": found.share_sd, "outside_runs": outside, "threshold": region.waves[-1].threshold,
+        "sampled": len(points), "acceptance": found.sample.acceptance, "correlation": found.sample.correlation,
+        "pictures": [str(p) for p in pictures],
     }  # fmt: skip
     if as_json:
         print_json(result)
         return
     print_table(
-        f"Not ruled out: {found.share:.3g} ± {found.share_sd:.1g} of the box (threshold {threshold:g})",
+        f"Not ruled out: {found.share:.3g} ± {found.share_sd:.1g} of the box (threshold {region.waves[-1].threshold:g})",
         ["input", "from", "to", "mean", "sd"],
         [[n, float(points[n].min()), float(points[n].max()), float(points[n].mean()), float(points[n].std())] for n in box.names],
     )
