@@ -310,3 +310,17 @@ def test_a_row_changed_by_hand_is_learnt_anew(calibrated: dict[str, bytes], scen
     frame.to_csv(file, index=False)
     changed = call("calibrate", scene, *OPTIONS)
     assert changed["posterior"] != json.loads(calibrated["result.json"])["posterior"]
+
+
+def test_retry_reaches_the_runs_of_known_parameters(scene: Path, mechanics: Mechanics, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def verify(*given: object) -> None:
+        asked.append(given[-1])
+        raise LacliError("enough is seen")
+
+    monkeypatch.setattr("lacli.calibration.synthetic_truth.verify", verify)
+    for words in ((), ("--retry",)):
+        with pytest.raises(LacliError, match="enough is seen"):
+            call("calibrate", scene, "--synthetic-truth", "--out", "out", *words)
+    assert asked == [False, True] and mechanics.runs == 0
