@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 class Tracking:
     """A patient's motion (t, n, 3) in mm and its measured error, the targets with their covariance, and their folder.
 
-    report: what is told of it, numbers with their units in their names; pictures: those drawn; warnings: what went wrong
-    with the others.
+    report: what is told of it, numbers with their units in their names; pictures: those drawn; warnings: what is
+    doubtful in the motion, and what went wrong with other pictures.
     """
 
     folder: Path
@@ -89,7 +89,8 @@ def track(
         moved = measured.Given(motion, axes, label, stated)
         tracked, names, origin = measured.from_motion(anatomy, images, times, moved, stage.of)
     found = measured.targets_of(tracked, published, at).knowing(known)
-    notes = {"bundle": str(bundle), "frames": names, "times_from": origin, "published": published}
+    doubts = tracked.course.doubts(tracked.model)
+    notes = {"bundle": str(bundle), "frames": names, "times_from": origin, "published": published, "warnings": doubts}
     report = measured.write(folder, bundle, anatomy, tracked, found, notes, update_bundle)
     drawn: list[Path] = []
     trouble = ""
@@ -98,5 +99,6 @@ def track(
 
         stage.of("drawing", 0, 1)
         drawn, trouble = draw_apart(folder, bundle, [str(p) for p in images] if stated is None else [])
-    warnings = (f"some pictures could not be drawn: {trouble}",) if trouble else ()
-    return Tracking(folder, tracked, found, report, tuple(drawn), warnings)
+    if trouble:
+        doubts = [*doubts, f"some pictures could not be drawn: {trouble}"]
+    return Tracking(folder, tracked, found, report, tuple(drawn), tuple(doubts))

@@ -23,6 +23,10 @@ PUBLISHED_VOLUME_SHARE = 0.05
 SAME_TIME = 0.02
 _NUGGET = 1e-4
 _LEAST_RISE = 0.01
+# end-diastole, before the reservoir and after the booster, is the atrium's least volume: a first frame above a later one is told
+# from so many sd of a volume on, and refused where it is nearer to the largest volume than to the least
+_TOLD_SD = 2.0
+_GROSS = 0.5
 
 
 @dataclass(frozen=True)
@@ -41,7 +45,10 @@ class Course:
 
     @classmethod
     def of(cls, surface: Endocardium, times: FloatArray, displacement: FloatArray) -> Course:
-        """From the displacement (f, n, 3) mm of the bundle's points. InputError where the volume never rises from ED."""
+        """From the displacement (f, n, 3) mm of the bundle's points.
+
+        InputError where the volume never rises from the first frame, or falls far below it: that is no end-diastole.
+        """
         positions = surface.ed + displacement
         features = [surface.features(x) for x in positions]
         volume = np.array([row["volume_ml"] for row in features])
@@ -50,7 +57,27 @@ class Course:
                 f"the volume does not rise from the first frame ({volume[0]:.1f} mL, at most {volume.max():.1f} mL later): "
                 "there is no end-systole. Is the first frame end-diastole, and the bundle made from it?"
             )
+        least = int(np.argmin(volume))
+        fall = float(volume[0] - volume[least])
+        if fall > _GROSS * float(np.ptp(volume)) and fall > _LEAST_RISE * volume[0]:
+            raise InputError(
+                f"the first frame has {volume[0]:.1f} mL, frame {least} (time {times[least]:.3g}) {volume[least]:.1f} mL, the "
+                f"largest {volume.max():.1f} mL: the first is not end-diastole, the atrium's least volume. Give the frame of "
+                "least volume first, and mesh the bundle from it."
+            )
         return cls(surface, times, positions, features, phases_of(times, volume))
+
+    def doubts(self, model: ErrorModel) -> list[str]:
+        """In words, whether a later frame's volume is below the first's by more than its error."""
+        volume = np.array([row["volume_ml"] for row in self.features])
+        least, sd = int(np.argmin(volume)), float(model.sd[model.keys.index("volume_ml")])
+        if volume[0] - volume[least] <= _TOLD_SD * sd:
+            return []
+        return [
+            f"the first frame has {volume[0]:.1f} mL, frame {least} (time {self.times[least]:.3g}) {volume[least]:.1f} mL "
+            f"(sd {sd:.2g} mL): the first is not quite end-diastole, the atrium's least volume, and targets count from it. Give "
+            "that frame first, and mesh the bundle from it, if it is end-diastole."
+        ]
 
     def restored(self, shrinkage: Shrinkage | None) -> Course:
         """The same without the shrinkage of registration."""
