@@ -58,7 +58,7 @@ def make_plan(scene: Scene, bundle: Bundle, motion: Motion | None) -> Plan:
     backward = scene.loads.edp_mmhg > 0 and scene.numerics.unloading == "backward"
     strained = scene.loads.edp_mmhg > 0 and not backward
     rest_sweeps = scene.numerics.rest_sweeps if strained and (veins or pericardium) else 0
-    pressure = pressure_of(scene, motion)
+    pressure = pressure_of(scene.loads, scene.motion.es_time, motion)
     title = [f"pressure {scene.loads.edp_mmhg:g} to {pressure.at_es_kpa / MMHG_KPA:g} mmHg", LAWS[scene.materials.law].title]
     title += ["annulus moves"] if moving else ["ring held"]
     title += ["vein springs"] if veins else []

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from lacli.contracts.motion import Motion
-from lacli.contracts.scene import Scene
 from lacli.contracts.sections import MMHG_KPA, Loads
 
 
@@ -44,6 +43,6 @@ class Pressure:
         return by_edp * self.loads.edp_kpa + by_esp * self.loads.esp_kpa
 
 
-def pressure_of(scene: Scene, motion: Motion | None) -> Pressure:
-    """A scene's pressure; end-systole is the motion's where that is known, else the scene's."""
-    return Pressure(scene.loads, motion.es_time if motion is not None else scene.motion.es_time)
+def pressure_of(loads: Loads, es_time: float, motion: Motion | None) -> Pressure:
+    """A scene's pressure; end-systole is the motion's where that is known, else the scene's, a share of the cycle."""
+    return Pressure(loads, motion.es_time if motion is not None else es_time)

@@ -94,7 +94,8 @@ def of_run(run: Path) -> LaplaceStudy:
 
 def pressure_at_es(scene: Scene, bundle: Bundle) -> float:
     """The pressure that the run had at its end-systole, kPa: of a scene's own transient what that is there."""
-    return pressure_of(scene, asked_motion(scene.motion, bundle, Path(scene.anatomy.bundle))).at_es_kpa
+    motion = asked_motion(scene.motion, bundle, Path(scene.anatomy.bundle))
+    return pressure_of(scene.loads, scene.motion.es_time, motion).at_es_kpa
 
 
 def along_less_across(bundle: Bundle, materials: FloatArray, free: FloatArray, x: FloatArray) -> dict[str, float]:

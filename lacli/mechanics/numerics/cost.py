@@ -116,7 +116,7 @@ def slenderness(bundle: Bundle) -> dict[str, float]:
 def laplace(scene: Scene, slender: Mapping[str, float]) -> float:
     """End-systolic pressure times radius over thickness times C alpha, the greatest of a region: the measure of Laplace's law."""
     regional = dict(zip(STUDY, parameters_of(scene, STUDY), strict=True))
-    pressure = pressure_of(scene, None).at_es_kpa
+    pressure = pressure_of(scene.loads, scene.motion.es_time, None).at_es_kpa
     return max(pressure * ratio / (regional[f"c_{name}_kpa"] * regional[f"alpha_{name}"]) for name, ratio in slender.items())
 
 
