@@ -159,6 +159,31 @@ def check_end_systole(scene: Scene, targets: Targets) -> None:
     )
 
 
+def of_known_loads(scene: Scene, targets: Targets) -> tuple[Targets, list[str]]:
+    """The targets whose load the scene knows, and what is to be told of the others.
+
+    Up to end-systole the pressure rises between the two that are inputs; how it falls after it no input says, and the motion
+    follows it: an idealised fall would be taken for stiffness. A scene with its own transient knows it. Raises UsageError where
+    nothing is left.
+    """
+    if scene.loads.transient_mmhg is not None or not times_of(targets.names):
+        return targets, []
+    own = end_systole(scene.motion, scene.anatomy.bundle)
+    late = [name for name in targets.names if any(time > own + SAME_ES for time in times_of([name]))]
+    if not late:
+        return targets, []
+    if len(late) == len(targets.names):
+        raise UsageError(
+            f"all targets are of frames after end-systole ({own:.3g} of the cycle), where the pressure is not known. Give some "
+            "up to it, or the pressure over the cycle as loads.transient_mmhg."
+        )
+    times = times_of(late)
+    return targets.select([name for name in targets.names if name not in late]), [
+        f"{len(late)} targets of {len(times)} frames after end-systole are not calibrated to: how the pressure falls there is "
+        "not known, and would be taken for stiffness. They are there to be foretold; with loads.transient_mmhg they count."
+    ]
+
+
 def _outcome(result: RunResult, errors: dict[str, float], framed: bool) -> Outcome:
     from lacli.inference.runs import Outcome
     from lacli.mechanics.numerics.equilibria import SPREAD

@@ -12,7 +12,7 @@ import pytest
 from lacli import calibrate
 from lacli.api.validation import _tell_end_systole
 from lacli.base.errors import TableError, UsageError
-from lacli.calibration.simulator import check_end_systole
+from lacli.calibration.simulator import check_end_systole, of_known_loads
 from lacli.contracts.identity import flatten
 from lacli.contracts.motion import Motion, save_motion
 from lacli.contracts.scene import Scene
@@ -79,3 +79,21 @@ def test_a_run_of_another_end_systole_is_told(caplog: pytest.LogCaptureFixture) 
     _tell_end_systole(Path("run"), run, Path("motion"), 0.33)
     (told,) = [record.getMessage() for record in caplog.records]
     assert told.startswith("run: end-systole is at 0.4 of the cycle, in motion at 0.33")
+
+
+def test_frames_whose_pressure_is_not_known_are_not_calibrated_to(scene_with: SceneOf) -> None:
+    """After end-systole the pressure falls as no input says: what the wall does then is no measure of its stiffness."""
+    names = ("esv_ml", "n_roof_mm@0.3", "n_roof_mm@0.41", "n_roof_mm@0.6", "volume_ml@0.8")
+    given = Targets(names, np.arange(1.0, 6.0), np.full(5, 0.3), np.diag(np.arange(1.0, 6.0)) ** 2)
+    kept, said = of_known_loads(scene_with(), given)
+    assert kept.names == names[:3]  # .41 shows end-systole, .4
+    assert kept.covariance is not None and np.diag(kept.covariance).tolist() == [1.0, 4.0, 9.0]
+    assert said == [
+        "2 targets of 2 frames after end-systole are not calibrated to: how the pressure falls there is not known, and would be "
+        "taken for stiffness. They are there to be foretold; with loads.transient_mmhg they count."
+    ]
+    assert of_known_loads(scene_with(), kept) == (kept, [])
+    own = scene_with("loads.transient_mmhg=[[0, 8], [0.4, 20], [1, 8]]")
+    assert of_known_loads(own, given) == (given, [])
+    with pytest.raises(UsageError, match="all targets are of frames after end-systole"):
+        of_known_loads(scene_with(), given.select(names[3:]))

@@ -46,19 +46,21 @@ def calibrate_by_waves(
     else:
         from lacli.base.processes.locks import working_on
         from lacli.calibration.calibration import calibration_identity, obstacle
-        from lacli.calibration.simulator import check_end_systole
+        from lacli.calibration.simulator import check_end_systole, of_known_loads
         from lacli.inference.box import published_box
         from lacli.inference.runs import RunLog, runs_identity
         from lacli.mechanics.numerics.stated import MEASURED, said_of, with_discretisation
 
         assert scene is not None
         check_end_systole(scene, targets)
+        framed = targets.names  # frames that are not calibrated to are simulated all the same: they are foretold
+        targets, said = of_known_loads(scene, targets)
         box = work.box or published_box()
         if work.discretisation:
             # what was measured is in the table of runs already, and reaches the likelihood from there
             targets, stated = with_discretisation(targets, scene, but=MEASURED)
-            said = said_of(targets.names, stated)
-        run = _simulator(scene, folder, work, targets.names, work.sensitivities, work.discretisation)
+            said += said_of(targets.names, stated)
+        run = _simulator(scene, folder, work, framed, work.sensitivities, work.discretisation)
         of_runs = runs_identity(run, box.names, targets.names)
         identity = calibration_identity(box, targets, settings, of_runs)
         folder = _settle(folder, lambda place: obstacle(place, identity), of_runs, work.fresh)

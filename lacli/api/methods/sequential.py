@@ -88,7 +88,7 @@ def prices(scene: Scene, targets: Targets, folder: Path, settings: Settings | No
     from lacli.calibration.price import price
     from lacli.calibration.sequential.fidelity.companion import companion
     from lacli.calibration.sequential.search import Settings
-    from lacli.calibration.simulator import asked, check_end_systole
+    from lacli.calibration.simulator import asked, check_end_systole, of_known_loads
     from lacli.contracts.priors import check_priors
     from lacli.inference.box import published_box
     from lacli.mechanics.numerics.earlier import earlier
@@ -96,6 +96,7 @@ def prices(scene: Scene, targets: Targets, folder: Path, settings: Settings | No
     if words := lacking(scene):
         raise UsageError(f"calibrate: {words} Change the scene, or use --method published.")
     check_end_systole(scene, targets)
+    of_known_loads(scene, targets)
     box = work.box or published_box()
     check_priors(targets.priors, box.names, box.lower, box.upper)
     settings, done = settings or Settings(), earlier(work.store or folder / RUNS)
@@ -132,7 +133,7 @@ def _prepared(scene: Scene, targets: Targets, folder: Path, settings: Settings |
     from lacli.calibration.sequential.fidelity.companion import companion
     from lacli.calibration.sequential.outputs import CHEAP, LOG
     from lacli.calibration.sequential.search import Reference, Settings
-    from lacli.calibration.simulator import check_end_systole, simulator
+    from lacli.calibration.simulator import check_end_systole, of_known_loads, simulator
     from lacli.contracts.identity import settle
     from lacli.inference.box import published_box
     from lacli.inference.runs import RunLog, runs_identity
@@ -142,19 +143,20 @@ def _prepared(scene: Scene, targets: Targets, folder: Path, settings: Settings |
     if words := lacking(scene):
         raise UsageError(f"calibrate: {words} Change the scene, or use --method published.")
     check_end_systole(scene, targets)
+    framed = targets.names  # frames that are not calibrated to are simulated all the same: they are foretold
+    targets, notes = of_known_loads(scene, targets)
     check_folder(folder)
     settings, box = settings or Settings(), work.box or published_box()
     kinds = [(scene, LOG), *([(companion(scene, work.cheap), CHEAP)] if work.cheap else [])]
     # its own numerics first; the cheap ones, if any, carry the search
     runs = [
-        simulator(one, work.store or folder / RUNS, work.workers, work.scheduler, targets=targets.names, warm=work.warm)
+        simulator(one, work.store or folder / RUNS, work.workers, work.scheduler, targets=framed, warm=work.warm)
         for one, _ in kinds
     ]
     made = [runs_identity(run, box.names, targets.names) for run in runs]
-    notes: list[str] = []
     if work.discretisation:
         targets, stated = with_discretisation(targets, scene)
-        notes = said_of(targets.names, stated)
+        notes += said_of(targets.names, stated)
     identity = sequential_identity(box, targets, settings, made[-1], made[0] if work.cheap else None)
     beside = [(name, of_runs) for (_, name), of_runs in zip(kinds, made, strict=True)]
 
