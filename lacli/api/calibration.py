@@ -118,7 +118,8 @@ def calibrate(
     """The posterior of a patient's parameters, from simulations that are made where they tell most.
 
     Targets and inputs are in the units of their names; targets at times of the cycle (``n_septum_mm@0.2``) make the frames of
-    the simulations. scene: what is run; or None, with a ``table`` of inputs and outputs of runs done elsewhere. method:
+    the simulations; those after end-systole are calibrated to only where the scene knows their pressure (a note tells).
+    scene: what is run; or None, with a ``table`` of inputs and outputs of runs done elsewhere. method:
     ``sequential``, to the posterior with the runs' derivatives (tens of runs), or ``published``, waves over the box (hundreds);
     None: sequential where scene and settings let it. forecast: only what the targets can teach of each input, from the few
     runs that the sequential method begins with; dry_run: only what it costs at most, by kind of run. targets: or None, and the

@@ -41,10 +41,10 @@ def show_forecast(scene: Scene, targets: Targets, folder: Path, as_json: bool, *
         found = calibrate(scene, targets, folder, method="sequential", forecast=True, progress=show, **options)
     rows = found.rows()
     if as_json:
-        print_json({"runs": found.runs, "targets": len(targets.names), "inputs": rows})
+        print_json({"runs": found.runs, "targets": found.targets, "inputs": rows})
         return
     print_table(
-        f"What {len(targets.names)} targets can teach, by the derivatives of {found.runs} runs over the box",
+        f"What {found.targets} targets can teach, by the derivatives of {found.runs} runs over the box",
         ["input", "prior's sd", "expected sd", "least", "most", "sd below prior's"],
         [[r["input"], r["prior_sd"], r["expected_sd"], r["least_sd"], r["most_sd"], learnt(r)] for r in rows],
     )
@@ -77,7 +77,7 @@ def seek_and_show(scene: Scene, targets: Targets, folder: Path, as_json: bool, *
         )
         print_table("Runs", ["stage", "runs"], [[name, count] for name, count in result.stages.items()])
         out.print(
-            f"chi^2 {result.misfit:.1f} for {len(targets.names)} targets; {result.runs} runs ({result.failed} failed), "
+            f"chi^2 {result.misfit:.1f} for {len(result.targets.names)} targets; {result.runs} runs ({result.failed} failed), "
             f"{result.map_runs} until the most probable point. Stopped because {result.stopped}; it may still move a mean by "
             f"{result.change.max():.2f} sd. {time_of(wall_s)}. "
             f"Everything is in {found.folder}",

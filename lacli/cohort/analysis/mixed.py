@@ -64,7 +64,7 @@ def published(observed: Observations, response: str, predictor: str, level: floa
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         fit = sm.MixedLM(y.ravel(), design, groups=np.repeat(np.arange(patients), regions)).fit(reml=True)
-    estimate, se = np.asarray(fit.fe_params), np.asarray(fit.bse_fe)
+        estimate, se = np.asarray(fit.fe_params), np.asarray(fit.bse_fe)  # by the roots of a matrix that may be indefinite
     variance, residual = float(np.asarray(fit.cov_re)[0, 0]), float(fit.scale)
     q = stats.norm.ppf(0.5 + level / 2)
     p = 2 * stats.norm.sf(np.abs(estimate / se))

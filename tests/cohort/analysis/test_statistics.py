@@ -327,3 +327,22 @@ def test_degrees_of_freedom_are_few_where_patients_are_few_and_those_of_residual
         found.append(structural_slope(w, y, np.tile(0.64 * np.eye(5), (patients, 1, 1)), np.zeros((patients, 5, 5))))
     assert 1 <= found[0].df < 15  # what the variances of ten patients tell, not their 35 residuals
     assert found[1].df > 15 * found[0].df  # in proportion to the patients: 40 times as many
+
+
+def test_a_fit_without_standard_errors_is_told_and_warns_nobody() -> None:
+    """Four patients between whom nothing varies as the model has it: REML's curvature there has no root."""
+    d = [
+        [5.82, 4.36, 3.45, 7.40, 3.94],
+        [4.51, 5.54, 3.79, 6.55, 2.76],
+        [5.97, 6.29, 4.16, 7.16, 3.19],
+        [5.14, 5.0, 3.88, 6.48, 2.6],
+    ]
+    alpha = [
+        [1.93, 1.71, 1.24, 1.98, 1.75],
+        [2.85, 3.07, 2.93, 1.6, 2.08],
+        [1.21, 1.13, 1.67, 2.04, 1.39],
+        [3.11, 2.36, 2.43, 2.85, 2.39],
+    ]
+    found = published(observed(d_mm=np.array(d), alpha=np.array(alpha)), "d_mm", "alpha")  # warnings are errors here
+    assert math.isnan(found.of("alpha").se) and math.isnan(found.of("alpha").p)
+    assert any("the fit did not converge; its numbers are no estimates" in note for note in found.notes)

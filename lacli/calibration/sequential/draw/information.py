@@ -26,7 +26,7 @@ _KINDS = {"d": "magnitudes", "n": "normal components", "a": "tangential componen
 @dataclass(frozen=True)
 class Forecast:
     """Of each input (d,): prior_sd; expected_sd, the median over ``runs`` points of the box, and the least and the largest of
-    them; in the inputs' units."""
+    them; in the inputs' units; targets: how many teach it."""
 
     inputs: tuple[str, ...]
     prior_sd: FloatArray
@@ -34,6 +34,7 @@ class Forecast:
     least: FloatArray
     most: FloatArray
     runs: int
+    targets: int
 
     def rows(self) -> list[dict[str, float | str]]:
         """By input: what is expected, and the share by which the sd falls."""
@@ -59,7 +60,7 @@ def forecast(log: RunLog, x: FloatArray, targets: Targets, scale: Scale) -> Fore
         by_x = jacobian / scale.slope(point[None])
         found.append(np.sqrt(np.diag(np.linalg.inv(by_x.T @ by_x + np.diag(before**-2)))))
     sds = np.array(found)
-    return Forecast(box.names, before, np.median(sds, axis=0), sds.min(0), sds.max(0), len(sds))
+    return Forecast(box.names, before, np.median(sds, axis=0), sds.min(0), sds.max(0), len(sds), len(targets.names))
 
 
 def group_of(name: str) -> str:
