@@ -59,7 +59,6 @@ class SceneSimulator:
         The engine does not count: both give the same numbers (``benchmarks/engines.py``). Raises UsageError for an input that
         counts nothing in this scene.
         """
-        from lacli.base.errors import UsageError
         from lacli.contracts.identity import determinants, flatten
 
         if self.scene.loads.transient_mmhg is not None and (idle := [name for name in PRESSURES if name in inputs]):

@@ -58,6 +58,16 @@ def choose(engine: str, law: Law) -> Path | None:
         return None
 
 
+def obstacle(engine: str) -> str:
+    """What keeps runs from the compiled engine, in words; '' where nothing does. Without FreeFEM the first run says so."""
+    if engine == "script":
+        return 'numerics.engine is "script"'
+    try:
+        return (plugin_obstacle(find()) or "") if engine == "auto" else ""
+    except SolverMissingError:
+        return ""
+
+
 def name(chosen: Path | None) -> str:
     """``plugin`` or ``script``."""
     return "plugin" if chosen else "script"

@@ -23,14 +23,12 @@ from typing import Any
 import numpy as np
 
 from lacli.base.arrays import FloatArray
-from lacli.base.errors import SolverMissingError
 from lacli.base.files import replacing
 from lacli.contracts.case import Case
 from lacli.contracts.identity import content_hash, determinants, flatten
 from lacli.contracts.parameters import QUANTITIES, STUDY
 from lacli.contracts.scene import Scene
-from lacli.freefem.plugins import plugin_obstacle
-from lacli.freefem.program import find
+from lacli.mechanics import engine
 from lacli.mechanics.results import EQUILIBRIA, Results
 from lacli.mechanics.sensitivities import INPUTS
 
@@ -73,16 +71,7 @@ def lacking(scene: Scene) -> str:
         return "warm starts need the runs' derivatives, which there are only with numerics.rest_sweeps = 0"
     if numerics.settle_ed:
         return "warm starts need runs whose end-diastole is the image's; set numerics.settle_ed to false"
-    return _without_engine(numerics.engine)
-
-
-def _without_engine(engine: str) -> str:
-    obstacle = None
-    if engine == "auto":
-        with contextlib.suppress(SolverMissingError):  # without FreeFEM there is no run, and that is said by the first
-            obstacle = plugin_obstacle(find())
-    elif engine == "script":
-        obstacle = 'numerics.engine is "script"'
+    obstacle = engine.obstacle(numerics.engine)
     return f"warm starts need the compiled engine, and {obstacle}" if obstacle else ""
 
 

@@ -13,14 +13,13 @@ from lacli.base.arrays import FloatArray
 from lacli.base.errors import InputError, UsageError
 from lacli.contracts.features import PUBLISHED, at_time
 from lacli.contracts.priors import Prior
-from lacli.contracts.targets import Targets
+from lacli.contracts.targets import SAME_ES, Targets
 from lacli.motion.errors.shrinkage import Shrinkage
 from lacli.motion.errors.uncertainty import ErrorModel
 from lacli.motion.phases import Phases, phases_of
 
 PUBLISHED_VOLUME_SHARE = 0.05
 # a frame this near to ES, as a share of the cycle, shows ES itself: it would be the same target twice
-SAME_TIME = 0.02
 _NUGGET = 1e-4
 _LEAST_RISE = 0.01
 # end-diastole, before the reservoir and after the booster, is the atrium's least volume: a first frame above a later one is told
@@ -144,7 +143,7 @@ def measured(course: Course, model: ErrorModel, times: Sequence[float] | None = 
     wrong = [t for t in wanted if not 0.0 < t < 1.0]
     if wrong:
         raise UsageError(f"a target's time is a fraction of the RR interval between 0 and 1, got {wrong[0]:g}.")
-    wanted = [t for t in wanted if abs(t - es) > SAME_TIME]
+    wanted = [t for t in wanted if abs(t - es) > SAME_ES]
     keys = [key for key in model.keys if key in course.features[0]]
     column = [model.keys.index(key) for key in keys]
     names: list[str] = []

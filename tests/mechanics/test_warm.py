@@ -164,8 +164,8 @@ def test_where_no_run_can_start_warm_is_said_once(
 ) -> None:
     told: list[str] = []
     monkeypatch.setattr("lacli.calibration.simulator.note", told.append)
-    monkeypatch.setattr(warm, "find", lambda: None)
-    monkeypatch.setattr(warm, "plugin_obstacle", lambda _: "there is no C++ compiler: install one")
+    monkeypatch.setattr("lacli.mechanics.engine.find", lambda: None)
+    monkeypatch.setattr("lacli.mechanics.engine.plugin_obstacle", lambda _: "there is no C++ compiler: install one")
     settings = ["outputs.sensitivities=true", "numerics.engine=plugin", override]
     chosen = build_scene({"anatomy": {"bundle": "la"}}, settings, folder=tmp_path, where="test")
     derivatives = chosen.outputs.sensitivities

@@ -96,7 +96,7 @@ def prices(scene: Scene, targets: Targets, folder: Path, settings: Settings | No
     if words := lacking(scene):
         raise UsageError(f"calibrate: {words} Change the scene, or use --method published.")
     check_end_systole(scene, targets)
-    of_known_loads(scene, targets)
+    of_known_loads(scene, targets)  # refused where nothing is left; frames that are only foretold cost as much
     box = work.box or published_box()
     check_priors(targets.priors, box.names, box.lower, box.upper)
     settings, done = settings or Settings(), earlier(work.store or folder / RUNS)
@@ -178,24 +178,14 @@ def _hearing(stage: Stage) -> Callable[[Status], None]:
 
 def lacking(scene: Scene) -> str:
     """Why runs of the scene tell no derivatives, which the search needs, in words; '' where they do."""
+    from lacli.mechanics.engine import obstacle as of_engine
+
     if scene.numerics.unloading != "prestrain" or scene.numerics.engine == "script":
         return (
             'the sequential method needs derivatives, which only the compiled engine with numerics.unloading = "prestrain" has.'
         )
-    if scene.numerics.engine == "auto" and (obstacle := _no_compiler()):
+    if obstacle := of_engine(scene.numerics.engine):
         return f"the sequential method needs derivatives, which only the compiled engine has: {obstacle}."
     if scene.numerics.rest_sweeps:
         return "the sequential method needs derivatives, which runs have only with numerics.rest_sweeps = 0."
     return ""
-
-
-def _no_compiler() -> str:
-    """What keeps the compiled engine from being built; '' where nothing does, or FreeFEM is missing, which is told later."""
-    from lacli.base.errors import SolverMissingError
-    from lacli.freefem.plugins import plugin_obstacle
-    from lacli.freefem.program import find
-
-    try:
-        return plugin_obstacle(find()) or ""
-    except SolverMissingError:
-        return ""

@@ -92,6 +92,7 @@ class Search:
         self.reference, self.dear = reference, np.empty((0, box.d))
         self.error_factor: ErrorFactor | None = None
         self._correction: tuple[object, Correction | None] = (None, None)
+        self._was_corrected = False
 
     def run(self, z: FloatArray, stage: str) -> Evidence:
         """Run the points z (k, d) that the budget allows; the evidence of all runs."""
@@ -150,15 +151,15 @@ class Search:
         learnt, kept, dear = fidelities.sound(found, dear, (looked[0].strays, looked[1].strays))
         known = (self.targets.names, learnt.x[pairs(learnt, dear)[:, 0]].tobytes())
         if self._correction[0] != known:
-            before = self._correction[1]
             self._correction = known, fit_correction(learnt, dear)
-            if before is not None and self._correction[1] is None:
+            if self._was_corrected and self._correction[1] is None:
                 raise LacliError(
                     f"calibrate: of {len(self.dear)} runs of the reference fewer than {fidelities.LEAST} are left that tell "
                     "derivatives and lie on one branch with the others: nothing corrects the cheap runs. Look at "
                     f"{self.told.path}, or let all runs be the scene's own (--cheap none)."
                 )
         correction = self._correction[1]
+        self._was_corrected |= correction is not None
         return learnt if correction is None else corrected(kept, dear, correction)
 
     def infer_errors(self, evidence: Evidence) -> Evidence:

@@ -128,7 +128,7 @@ def _read(study: Path, patient: Participant) -> _Patient:
     anatomy = read_anatomy(patient.paths.get("bundle", folder / "anatomy"), name)
     fat = _fat(folder)
     own = courses(name, result, None if anatomy is None else anatomy.es_time)
-    _tracked(folder)
+    _tracked(folder)  # read again for the table of patients, who fail of it here
     return _Patient(
         result,
         read_targets(patient.paths.get("targets", folder / "motion" / "targets.toml")) if in_two else None,

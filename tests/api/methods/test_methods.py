@@ -72,13 +72,13 @@ def test_a_scene_without_derivatives_says_so(scene: lacli.Scene, change: dict[st
 def test_without_a_compiler_there_are_no_derivatives(scene: lacli.Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """The default engine would be FreeFEM's own language, without a run having told it."""
     found = FreeFem(Path("/usr/bin/FreeFem++"), "4.9", Path("/usr/lib"), None, None, None)
-    monkeypatch.setattr("lacli.freefem.program.find", lambda: found)
+    monkeypatch.setattr("lacli.mechanics.engine.find", lambda: found)
     assert "only the compiled engine has: there is no C++ compiler: sudo apt-get install -y g++" in sequential.lacking(scene)
 
     def missing() -> FreeFem:
         raise SolverMissingError("no FreeFEM")
 
-    monkeypatch.setattr("lacli.freefem.program.find", missing)
+    monkeypatch.setattr("lacli.mechanics.engine.find", missing)
     assert sequential.lacking(scene) == ""  # that is another message, of whoever runs something
 
 
