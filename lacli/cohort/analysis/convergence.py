@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +35,7 @@ def convergence(patient: str, bundle: Path, result: Mapping[str, Any]) -> list[d
     for order in (1, 2):
         own = resolution(mesh, order)
         for size in _SIZES if moved else ():
-            errors = model_errors(moved, replace(own, h_mm=own.h_mm * size))
+            errors = model_errors(moved, own.finer(size))
             rows.append(_row(patient, order, own.h_mm * size, bool(np.isclose(size, 1.0)), MODEL, errors))
         for numerics, errors in kept_errors(bundle):
             if numerics.startswith(f"p{order}_"):

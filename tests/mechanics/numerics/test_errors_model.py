@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from pathlib import Path
@@ -18,15 +19,15 @@ from lacli.mechanics.numerics import accuracy, error_model
 from lacli.mechanics.numerics.error_model import Resolution, model_errors, moved_mm, resolution, scale
 from lacli.mechanics.numerics.stated import MEASURED, MODEL, said_of, stated_errors, with_discretisation
 
-WHERE = Resolution(1, 4.0, 100.0, 2.0)
+WHERE = Resolution(1, 4.0, 100.0, 2.0, 0.3)
 
 
 @pytest.fixture
 def plain(monkeypatch: pytest.MonkeyPatch) -> None:
     """A model with round coefficients: typical errors are 8 h / L of the scale for d_roof, 16 h / L for volumes."""
     features = {"d_roof_mm": math.log(8.0), "volume_ml": math.log(16.0), "area_strain_roof": 0.0}
-    order = {"h": 1.0, "t": 1.0, "features": features, "factor": 3.0}
-    monkeypatch.setattr(error_model, "_model", lambda: {"1": order, "2": {**order, "h": 3.0}})
+    order = {"size": 1.0, "t": 1.0, "features": features, "factor": 3.0}
+    monkeypatch.setattr(error_model, "_model", lambda: {"1": order, "2": {**order, "size": 3.0}})
 
 
 @pytest.mark.usefixtures("plain")
@@ -35,9 +36,11 @@ def test_errors_scale_with_the_motion_the_cells_and_the_wall() -> None:
     features = {"d_global_mm": 5.0, "d_roof_mm": 7.0, "esv_ml": 90.0, "area_strain_roof": 0.2, "cpu_s": 3.0}
     found = model_errors(features, WHERE)
     assert found == pytest.approx({"d_roof_mm": 2.4, "esv_ml": 48.0, "area_strain_roof": 5.0 / 100.0 * 0.04 * 0.5 * 3.0})
-    finer = model_errors(features, Resolution(1, 2.0, 100.0, 1.0))
+    finer = model_errors(features, Resolution(1, 2.0, 100.0, 1.0, 0.3))
     assert finer["d_roof_mm"] == pytest.approx(1.2)
-    assert model_errors(features, Resolution(2, 2.0, 100.0, 1.0))["d_roof_mm"] == pytest.approx(1.2 * 0.02**2)
+    assert model_errors(features, Resolution(2, 2.0, 100.0, 1.0, 0.1))["d_roof_mm"] == pytest.approx(
+        5.0 * 8.0 * 0.1**3 * 0.5 * 3.0
+    )
 
 
 @pytest.mark.usefixtures("plain")
@@ -74,16 +77,35 @@ def test_a_cube_s_resolution() -> None:
     assert found.h_mm == pytest.approx(a * (2 + math.sqrt(2)) / 3)
     assert found.l_mm**2 == pytest.approx(len(cavity) * a**2 / 2)
     assert found.order == 2 and found.t_mm > 0
+    # of the pairs of triangles at an edge those at the cavity's twelve edges turn by a right angle, the others not at all
+    pairs = 1.5 * len(cavity)
+    at_edges = 12 * np.ptp(bundle.points[cavity].reshape(-1, 3), axis=0)[0] / a
+    assert found.turn == pytest.approx(math.pi / 2 * math.sqrt(at_edges / pairs))
+
+
+def test_quadratic_cells_err_by_how_the_wall_turns_and_finer_cells_turn_less() -> None:
+    smooth = Resolution(2, 4.0, 100.0, 2.0, 0.2)
+    rough = dataclasses.replace(smooth, turn=0.3)
+    features = {"d_global_mm": 6.0, "d_roof_mm": 5.0, "edv_ml": 90.0}
+    more = {
+        name: rough_error / model_errors(features, smooth)[name] for name, rough_error in model_errors(features, rough).items()
+    }
+    assert set(more) == set(features)
+    power = error_model._model()["2"]["size"]
+    assert list(more.values()) == pytest.approx([1.5**power] * 3) and power > 1.0
+    assert smooth.finer(0.5).h_mm == 2.0 and 0.1 <= smooth.finer(0.5).turn < 0.2
+    still = {"d_global_mm": 0.1, "edv_ml": 90.0}
+    assert model_errors(still, smooth)["edv_ml"] == model_errors(features, smooth)["edv_ml"], "the image's volume moves nowhere"
 
 
 def test_the_built_in_model_knows_every_feature_and_falls_with_finer_cells() -> None:
     for order in (1, 2):
         known = error_model._model()[str(order)]
         assert {family(f.key) for f in FEATURES} <= set(known["features"]), "a feature without an error"
-        assert known["h"] > 0, "errors that grow under refinement"
+        assert known["size"] > 0, "errors that grow under refinement"
         assert known["coverage"] >= 0.85 and known["anatomies"] >= 8
     features = {"d_global_mm": 6.0, **{f.key: 1.0 for f in FEATURES}}
-    linear, quadratic = (model_errors(features, Resolution(order, 4.0, 100.0, 2.0)) for order in (1, 2))
+    linear, quadratic = (model_errors(features, Resolution(order, 4.0, 100.0, 2.0, 0.19)) for order in (1, 2))
     assert set(linear) == {f.key for f in FEATURES}
     assert all(0 < quadratic[name] < linear[name] for name in ("d_global_mm", "esv_ml", "d_roof_mm"))
 
@@ -113,7 +135,7 @@ def test_what_was_measured_comes_first_and_the_source_is_told(tmp_path: Path) ->
 
 
 def test_errors_fall_slower_than_the_motion() -> None:
-    where = error_model.Resolution(1, 4.0, 120.0, 2.0)
+    where = error_model.Resolution(1, 4.0, 120.0, 2.0, 0.2)
     features = {"d_global_mm": 8.0, "d_roof_mm": 7.0, "d_global_mm@0.1": 2.0, "d_roof_mm@0.1": 1.0}
     found = error_model.model_errors(features, where)
     # a quarter of the motion: 2 / 8 x 4^.4 of the error
