@@ -16,6 +16,7 @@ from pathlib import Path
 
 from lacli.base.processes.machine import disk_is_full, full_words, memory_limit
 from lacli.base.processes.process import Ended, supervise
+from lacli.contracts.failures import out_of_time
 from lacli.freefem.program import CRASHES, FreeFem, telling
 
 _NO_MEMORY = re.compile(r"bad_alloc|cannot allocate memory|out of memory|not enough memory", re.IGNORECASE)
@@ -119,7 +120,7 @@ def _judge(ended: Ended, said: list[str], timeout_s: float, folder: Path) -> tup
     """Kind of failure (None: success) and one sentence about it."""
     text = "\n".join(ended.last_lines)
     if ended.cut == "timeout":
-        return "timeout", f"FreeFEM was stopped after {timeout_s:g} s (numerics.timeout_s)."
+        return out_of_time(ended.cpu_s, timeout_s)
     if ended.exit_code == -signal.SIGXFSZ:
         return "disk_full", full_words(folder, errno.EFBIG)
     if ended.cut == "disk_full" or _NO_SPACE.search(text) or disk_is_full(folder):

@@ -155,7 +155,7 @@ class RunLog:
         return (
             f"{len(lost)} of the runs were ended by the machine {failures.MOST_ATTEMPTS} times or more, the first at {where}: "
             f"{kind} ({failures.MACHINE[kind]}). {said}{takes}{available:.0f} of {total:.0f} MB of memory are free here. "
-            "Give more memory or disk, or run fewer side by side (--workers 1); then call again with --retry. "
+            "Give more memory, disk or time, or run fewer side by side (--workers 1); then call again with --retry. "
             f"All other runs are kept in {self.path}."
         )
 

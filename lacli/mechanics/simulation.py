@@ -98,7 +98,7 @@ def _keep(run: OpenRun, case: Case, written: Deck, outcome: Outcome, start: star
         "engine": written.engine,
         "versions": {"freefem": find().version},
     }
-    if outcome.kind is not None and not (outcome.kind == "timeout" and results.stand(run.folder)):
+    if outcome.kind is not None and not (outcome.kind in ("timeout", "starved") and results.stand(run.folder)):
         results.keep_last_state(case, run.folder)
         results.tidy(run.folder)
         run.finish("failed", kind=outcome.kind, message=outcome.message, **usage)

@@ -23,6 +23,7 @@ from lacli.freefem import run as freefem
 from lacli.freefem.files import read_state
 from lacli.mechanics import deck, inputs, plan, simulation
 from lacli.mechanics.features import regional_extras
+from lacli.mechanics.store import list_runs
 from lacli.motion.annulus import asked_motion
 from lacli.synthetic.atrium import synthesize
 
@@ -178,10 +179,18 @@ def test_out_of_time_in_the_unloaded_state_loses_that_state_alone(folder: Path, 
     assert result.features["esv_ml"] == pytest.approx(whole.features["esv_ml"], rel=1e-12)
 
 
-def test_a_run_out_of_time_is_kept_with_its_kind(folder: Path, tmp_path: Path) -> None:
-    result = simulation.run_scene(scene(folder, "numerics.timeout_s=0.05", "numerics.order=2", "loads.edp_mmhg=5"), tmp_path)
-    assert (result.status, result.kind) == ("failed", "timeout")
-    assert (result.folder / "solver.log").is_file()
+@pytest.mark.parametrize(("share", "kind"), [(0.9, "timeout"), (0.1, "starved")])
+def test_a_run_out_of_time_is_kept_if_it_computed(folder: Path, tmp_path: Path, monkeypatch, share: float, kind: str) -> None:
+    """Stopped after the same time by the clock; one that computed for a tenth of it has not shown how long its scene takes."""
+    limit = 0.05
+    supervise = freefem.supervise
+    monkeypatch.setattr(freefem, "supervise", lambda *a, **k: replace(supervise(*a, **k), cpu_s=share * limit))
+    slow = scene(folder, f"numerics.timeout_s={limit}", "numerics.order=2", "loads.edp_mmhg=5")
+    result = simulation.run_scene(slow, tmp_path)
+    assert (result.status, result.kind) == ("failed", kind)
+    assert f"{limit} s" in result.message and ("busy" in result.message) == (kind == "starved")
+    assert (result.folder / "solver.log").is_file() == (kind == "timeout")
+    assert [stored.kind for stored in list_runs(tmp_path)] == (["timeout"] if kind == "timeout" else [])
 
 
 def test_what_the_scene_needs_and_the_bundle_lacks_is_named(folder: Path, ball: Bundle) -> None:
