@@ -2,6 +2,8 @@
 
 They are kept in the bundle's ``accuracy.json``, each entry with the identity of what was measured: the scene with its
 numerics, the bundle's content, FreeFEM's scripts. Another scene, a bundle made anew, or other numerics find none.
+
+What is kept is what was measured: one difference for each feature. As standard deviations they are ``floored``.
 """
 
 from __future__ import annotations
@@ -10,9 +12,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from lacli.base.documents import read_json
 from lacli.base.errors import InputError
 from lacli.base.files import write_json
+from lacli.contracts.features import KEYS
 from lacli.contracts.identity import Identity, content_hash, determinants, flatten, identify
 from lacli.contracts.scene import Scene
 
@@ -37,8 +42,26 @@ def measured(scene: Scene) -> Identity:
     return identify("accuracy", **kept)
 
 
+def floored(differences: Mapping[str, float]) -> dict[str, float]:
+    """Standard deviations from one difference for each feature: at least the root mean square over those of its unit.
+
+    A difference of two meshes passes through 0 where the meshes happen to agree, and one near it tells of no small error:
+    that of a region's displacement is drawn from what those of all regions show. A feature alone in its unit keeps its own.
+    """
+    together: dict[str, list[float]] = {}
+    for name, value in differences.items():
+        together.setdefault(_unit(name), []).append(value)
+    least = {unit: float(np.sqrt(np.mean(np.square(values)))) for unit, values in together.items()}
+    return {name: max(value, least[_unit(name)]) for name, value in differences.items()}
+
+
+def _unit(name: str) -> str:
+    return KEYS[name].unit if name in KEYS else name
+
+
 def known_errors(scene: Scene) -> dict[str, float]:
-    """Feature -> discretisation error in the feature's unit, from ``accuracy.json`` of the bundle; empty where unmeasured."""
+    """Feature -> standard deviation of its discretisation error in the feature's unit, ``floored`` from what ``accuracy.json`` of
+    the bundle has; empty where unmeasured."""
     file = scene.anatomy.bundle / FILE
     if not file.is_file():
         return {}
@@ -48,13 +71,13 @@ def known_errors(scene: Scene) -> dict[str, float]:
             return {}
         if entry.get(_SEAL) != _seal(entry):
             raise ValueError("the errors of this scene were changed since they were measured")
-        return {str(name): float(value) for name, value in entry["errors"].items()}
+        return floored({str(name): float(value) for name, value in entry["errors"].items()})
     except (InputError, ValueError, TypeError, KeyError, AttributeError) as error:
         raise InputError(f"{file}: cannot be read ({error}). Remove it, or run `lacli tradeoff` again.") from error
 
 
 def kept_errors(bundle: Path) -> list[tuple[str, dict[str, float]]]:
-    """All that was measured on a bundle: numerics (``p1_q4``) and errors by feature. InputError where damaged."""
+    """All that was measured on a bundle: numerics (``p1_q4``) and differences by feature. InputError where damaged."""
     file = bundle / FILE
     try:
         entries = _entries(file) if file.is_file() else {}

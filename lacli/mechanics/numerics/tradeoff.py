@@ -62,7 +62,7 @@ def reference(variants: Sequence[Variant]) -> Variant:
 
 
 def errors(variant: Variant, against: Variant) -> dict[str, float]:
-    """Absolute difference of every feature, in the feature's unit."""
+    """Absolute difference of every feature, in the feature's unit; ``accuracy.floored`` makes standard deviations of them."""
     return {
         name: abs(float(variant.features[name]) - float(against.features[name]))
         for name in FEATURES

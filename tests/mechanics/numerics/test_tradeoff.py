@@ -43,6 +43,16 @@ def test_errors_are_kept_in_the_bundle_and_travel_with_the_result(tmp_path: Path
     assert accuracy.known_errors(scene(tmp_path, 2)) == {}, "another mesh has other errors"
 
 
+def test_meshes_that_agree_by_chance_in_one_region_tell_no_small_error(tmp_path: Path) -> None:
+    """Root mean square of .3, .1 and .0003 mm: sqrt((.09 + .01 + 9e-8) / 3) = .18257 mm. Volume, in mL, stands alone."""
+    bundle(tmp_path)
+    differences = {"esv_ml": 0.01, "d_roof_mm": 0.3, "d_septum_mm": 0.1, "d_lateral_mm": 0.0003}
+    accuracy.record(scene(tmp_path, 1), differences, scene(tmp_path, 2))
+    known = accuracy.known_errors(scene(tmp_path, 1))
+    assert known == pytest.approx({"esv_ml": 0.01, "d_roof_mm": 0.3, "d_septum_mm": 0.18257, "d_lateral_mm": 0.18257}, rel=1e-4)
+    assert accuracy.kept_errors(tmp_path / "b") == [("p1_q4", differences)], "what was measured is kept as it was"
+
+
 def test_a_difference_of_quadrature_alone_is_no_discretisation_error(tmp_path: Path) -> None:
     """Without finer cells, or where those failed, the reference is quadratic on the same mesh: it tells of linear ones."""
     bundle(tmp_path)
