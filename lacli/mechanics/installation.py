@@ -22,7 +22,7 @@ from lacli.base.version import __version__
 from lacli.freefem import plugins
 from lacli.freefem import program as ff
 from lacli.freefem.program import FreeFem
-from lacli.mechanics.engine import PLUGIN_FLAGS, SLOWER
+from lacli.mechanics.engine import PLUGIN_FLAGS, SLOWER_WORDS
 
 # shared library -> the Debian package that has it (gmsh's and VTK's wheels expect these from the system)
 _PACKAGES = {
@@ -127,7 +127,7 @@ def _blas(freefem: FreeFem) -> Check:
     return Check("BLAS", False, text, needed=False, fix="sudo apt-get install -y libopenblas0-pthread")
 
 
-_WITHOUT = f"optional: simulations run without, with the same numbers in about {SLOWER}; `lacli verify` needs it"
+_WITHOUT = f"optional: simulations run without, with the same numbers in {SLOWER_WORDS}; `lacli verify` needs it"
 
 
 def _compiler(freefem: FreeFem) -> Check:

@@ -197,7 +197,7 @@ def test_without_a_compiler_a_run_goes_through_and_says_so_once(
             assert result.manifest["engine"] == "script"
             assert (result.folder / "deck.edp").read_text().count("lacli.so") == 0
     (line,) = [record.getMessage() for record in caplog.records]
-    assert "twice the time" in line and "apt-get install -y g++" in line and "\n" not in line
+    assert engine.SLOWER_WORDS in line and "apt-get install -y g++" in line and "\n" not in line
     with pytest.raises(SolverMissingError, match=r"apt-get install -y g\+\+"):
         engine.choose("plugin", LAWS["guccione"])
     assert engine.choose("script", LAWS["guccione"]) is None

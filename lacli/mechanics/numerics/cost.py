@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from math import exp, log, pi, sqrt
+from math import exp, pi, sqrt
 from statistics import median
 from typing import Any
 
@@ -32,6 +32,7 @@ from lacli.contracts.parameters import QUANTITIES, STUDY
 from lacli.contracts.scene import Scene, parameters_of
 from lacli.geometry.quadrature import area_vectors
 from lacli.geometry.tetrahedra import TET10_EDGES, boundary_faces, row_keys, volumes
+from lacli.mechanics import engine
 from lacli.mechanics.pressure import pressure_of
 
 # by order: CPU seconds of a system of 10,000 unknowns, assembly included; the power of n; seconds to begin and end, an unknown
@@ -48,7 +49,7 @@ _CONDUIT = 1.5  # systems for each stretch of the conduit
 _UNLOADED, _FRAME = 1.3, 0.05  # factors of the whole; sensitivities of each further frame
 _REST = 0.4  # of the whole, for each sweep of springs at rest where the wall relaxes
 # by order: where solving is fast, assembly is what costs
-_SENSITIVITIES, _POINTS_14, _SCRIPT = {1: 1.06, 2: 1.05}, {1: 1.8, 2: 1.3}, {1: 2.6, 2: 3.0}
+_SENSITIVITIES, _POINTS_14 = {1: 1.06, 2: 1.05}, {1: 1.8, 2: 1.3}
 _BACKWARD = 3.5  # times the systems
 # what a scene's systems are more or less than the middle, as a Gaussian process of its inputs: standard deviation of the
 # logarithm, length (shares of the inputs' ranges), correlation between orders and between anatomies, and what scenes near by
@@ -76,13 +77,14 @@ class Cost:
 @dataclass(frozen=True)
 class Earlier:
     """A finished run: its scene, its features (``unknowns`` among them), CPU seconds and memory; the slenderness of its wall,
-    None where its anatomy is gone; whether it began where another had ended. Without the first, or warm, it tells the machine's
-    speed and not how many systems a run takes."""
+    None where its anatomy is gone; whether it began where another had ended; the engine that made it ('': the one that the scene
+    names). Without the first, or warm, it tells the machine's speed and not how many systems a run takes."""
 
     scene: Scene
     features: Mapping[str, Any]
     slender: Mapping[str, float] | None
     warm: bool = False
+    engine: str = ""
 
 
 def unknowns(bundle: Bundle, order: int) -> int:
@@ -129,7 +131,8 @@ def early_states(scene: Scene) -> int:
 def systems(scene: Scene, slender: Mapping[str, float]) -> float:
     """Linear systems that an ordinary scene takes on a wall, in the middle, to its last state."""
     level, by_load = _SYSTEMS
-    count = exp(level + by_load * log(laplace(scene, slender)))
+    # without a load there is a system to solve all the same
+    count = max(1.0, exp(level) * max(0.0, laplace(scene, slender)) ** by_load)
     if scene.numerics.order == 2:
         count *= _QUADRATIC
     if scene.pericardium.k_peri_kpa_per_um == 0:
@@ -141,8 +144,11 @@ def systems(scene: Scene, slender: Mapping[str, float]) -> float:
     return count + second + _CONDUIT * late
 
 
-def price(scene: Scene, count: int, solved: float) -> float:
-    """CPU seconds of a scene with its terms, ``count`` unknowns and ``solved`` linear systems, by the constants' machine."""
+def price(scene: Scene, count: int, solved: float, by: str = "") -> float:
+    """CPU seconds of a scene with its terms, ``count`` unknowns and ``solved`` linear systems, by the constants' machine.
+
+    by: the engine, ``plugin`` or ``script``; '': the one that the scene names, the plugin for "auto".
+    """
     order = scene.numerics.order
     system, power, start = _SYSTEM[order]
     cpu = start * count + solved * system * (count / 1e4) ** power
@@ -154,7 +160,7 @@ def price(scene: Scene, count: int, solved: float) -> float:
         frames = len(outputs.times) if outputs.times else outputs.frames
         cpu *= _SENSITIVITIES[order] + _FRAME * max(0, frames - 1)
     cpu *= _POINTS_14[order] if numerics.quadrature == 14 else 1.0
-    return cpu * (_SCRIPT[order] if numerics.engine == "script" else 1.0)
+    return cpu * (engine.SLOWER[order] if (by or numerics.engine) == "script" else 1.0)
 
 
 def ordinary(scene: Scene, count: int, slender: Mapping[str, float]) -> tuple[float, float]:
@@ -164,13 +170,15 @@ def ordinary(scene: Scene, count: int, slender: Mapping[str, float]) -> tuple[fl
 
 def expected(scene: Scene, bundle: Bundle, earlier: Iterable[Earlier]) -> Cost:
     """Cost of a scene, from its own numbers and from finished runs: these tell how fast the machine is (seconds against those of
-    as many systems), and those near by in the inputs how many systems it takes of what an ordinary scene would."""
+    as many systems), and those near by in the inputs how many systems it takes of what an ordinary scene would. Of "auto" it is
+    the cost with the engine that it finds here."""
     count, slender = unknowns(bundle, scene.numerics.order), slenderness(bundle)
     known = [run for run in earlier if all(run.features.get(name) for name in ("unknowns", "cpu_s", "newton_iterations"))]
     speed, of_memory = _machine(known)
     more, unknown = _more_systems(scene, known)
     middle = _all_systems(scene, slender) * exp(more)
-    low, cpu, high = (speed * price(scene, count, middle * exp(at * unknown)) for at in (-_BELOW, 0.0, _ABOVE))
+    by = "script" if engine.obstacle(scene.numerics.engine) else "plugin"
+    low, cpu, high = (speed * price(scene, count, middle * exp(at * unknown), by) for at in (-_BELOW, 0.0, _ABOVE))
     return Cost(count, cpu, _memory_mb(scene, count) * of_memory, len(known), low, high)
 
 
@@ -179,7 +187,7 @@ def _machine(known: list[Earlier]) -> tuple[float, float]:
     speeds, of_memory = [], []
     for run in known:
         size, solved = int(run.features["unknowns"]), float(run.features["newton_iterations"])
-        speeds.append(float(run.features["cpu_s"]) / price(run.scene, size, solved))
+        speeds.append(float(run.features["cpu_s"]) / price(run.scene, size, solved, run.engine))
         if used := run.features.get("peak_memory_mb"):
             of_memory.append(float(used) / _memory_mb(run.scene, size))
     return median(speeds or [1.0]), median(of_memory or [1.0])

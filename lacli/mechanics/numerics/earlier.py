@@ -24,7 +24,7 @@ def earlier(root: Path) -> list[Earlier]:
             scene = load_scene(run.folder / "scene.toml")
             if (place := scene.anatomy.bundle) not in walls:
                 walls[place] = _slenderness(place)
-            found.append(Earlier(scene, run.features(), walls[place], warm))
+            found.append(Earlier(scene, run.features(), walls[place], warm, str(run.manifest.get("engine") or "")))
         except LacliError:
             continue  # of an earlier version, or damaged: no price is worth a failure
     return found

@@ -12,6 +12,7 @@ from shapes import hollow_cube
 from lacli.contracts.labels import REGIONS
 from lacli.contracts.parameters import STUDY
 from lacli.contracts.scene import Scene, build_scene, with_parameters
+from lacli.mechanics import engine
 from lacli.mechanics.numerics.cost import Earlier, early_states, expected, laplace, ordinary, price, slenderness, systems
 from lacli.synthetic.atrium import synthesize
 
@@ -69,6 +70,25 @@ def test_an_ordinary_scene_s_systems_and_price_by_hand() -> None:
     assert systems(scene(*AT, "outputs.times=[0.4, 0.7]"), WALL) == pytest.approx(13.677 + 1.5, rel=1e-3)
 
 
+@pytest.mark.parametrize(
+    "loads",
+    [
+        ("loads.edp_mmhg=0", "loads.esp_mmhg=0"),
+        # 0 at end-systole
+        ("loads.edp_mmhg=5", "motion.es_time=0.4", "loads.transient_mmhg=[[0.0, 5.0], [0.4, 0.0], [1.0, 0.0]]"),
+    ],
+)
+def test_without_a_load_there_is_a_system_to_solve(loads: tuple[str, ...]) -> None:
+    """Laplace's measure is 0: a system, or .7 of one without pericardium; what such a run took tells of others."""
+    still = scene(*loads)
+    assert laplace(still, WALL) == 0.0
+    assert systems(still, WALL) == pytest.approx(1.0)
+    bundle = hollow_cube()
+    assert expected(still, bundle, []).low_s > 0.0
+    told = expected(scene(*AT), bundle, [ran(still, 0.2, solved=2.0)])
+    assert 0.0 < told.cpu_s < np.inf and told.runs == 1
+
+
 def test_a_thin_wall_takes_more() -> None:
     """Four times as thin: 4^.33 = 1.580 times the systems."""
     thin = dict.fromkeys(REGIONS, 56.0)
@@ -112,6 +132,23 @@ def test_runs_tell_the_machine_s_speed_by_their_systems() -> None:
     # a scene with one more term costs more by that term's factor
     points = expected(scene("numerics.quadrature=14"), bundle, [ran(scene(), 3.0 * blind.cpu_s)])
     assert points.cpu_s == pytest.approx(3.0 * 1.8 * blind.cpu_s)
+
+
+@pytest.mark.parametrize(("here", "by"), [("", "plugin"), ("there is no C++ compiler", "script")])
+def test_the_price_is_that_of_the_engine_that_will_run(monkeypatch: pytest.MonkeyPatch, here: str, by: str) -> None:
+    """ "auto" takes the script where nothing can be compiled. What that took in another run tells the machine's speed as well."""
+    monkeypatch.setattr(engine, "plugin_obstacle", lambda found: here)
+    monkeypatch.setattr(engine, "find", lambda: None)
+    bundle = hollow_cube()
+    auto = scene("numerics.engine=auto")
+    plugin, script = (scene(f"numerics.engine={name}") for name in ("plugin", "script"))
+    foretold = {"plugin": expected(plugin, bundle, []).cpu_s, "script": expected(script, bundle, []).cpu_s}
+    assert foretold["script"] == pytest.approx(engine.SLOWER[1] * foretold["plugin"])
+    assert expected(auto, bundle, []).cpu_s == pytest.approx(foretold[by])
+    # each engine's runs took twice what they take on the constants' machine
+    for name in ("plugin", "script"):
+        done = replace(ran(auto, 2.0 * foretold[name]), engine=name)
+        assert expected(auto, bundle, [done]).cpu_s == pytest.approx(2.0 * foretold[by])
 
 
 def test_runs_near_by_tell_how_many_systems() -> None:
