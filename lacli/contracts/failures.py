@@ -28,7 +28,12 @@ SCENE: Mapping[str, str] = MappingProxyType(
         "load_step_underflow": "no equilibrium found at the next load, however small the step",
         "inverted_element": "a cell turned inside out",
         "linear_solver": "the linear system could not be solved",
+        "newton_limit": "no equilibrium found within the steps allowed",
+        "diverged": "the search for an equilibrium ran away",
+        "unstable": "end-systole is no stable equilibrium, and none is near it",
         "unloading_diverged": "no unloaded shape found",
+        "mesh_order": "FreeFEM reordered the cells of the mesh",
+        "engine": "the engine cannot do what the scene asks for",
         "freefem_error": "FreeFEM stopped with an error",
         "bad_output": "FreeFEM's results cannot be read",
     }
