@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from lacli.contracts.case import Plan
 from lacli.contracts.scene import Scene, build_scene
 from lacli.contracts.sections import MMHG_KPA
 from lacli.freefem.program import FreeFem
-from lacli.mechanics import plan
+from lacli.mechanics import deck, plan
 from lacli.mechanics.results import TRANSIENTS
 from lacli.mechanics.simulation import RunResult, run_scene
 
@@ -93,3 +94,23 @@ def test_every_way_finds_what_is_unique(folder: Path, tmp_path: Path, monkeypatc
 
 def transients(result: RunResult) -> pd.DataFrame:
     return pd.read_csv(result.folder / TRANSIENTS)
+
+
+def test_where_a_tangent_cannot_be_solved_the_damped_one_is_tried(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, freefem: FreeFem
+) -> None:
+    """A linear solver that fails on every tangent of the plain Newton method: the viscous one's are others, and find the same."""
+    given = scene(folder, "outputs.frames=1", "outputs.conduit=false")
+    whole = run_scene(given, tmp_path / "whole")
+    libraries = shutil.copytree(deck.libraries(), tmp_path / "libraries")
+    newton = (libraries / "newton.idp").read_text()
+    solved = "if (fresh) error = solveLinear(rightSide, z);"
+    assert newton.count(solved) == 1
+    (libraries / "newton.idp").write_text(newton.replace(solved, "if (fresh) error = 1;"))
+    monkeypatch.setattr(deck, "libraries", lambda: libraries)
+    broken = run_scene(given, tmp_path / "broken")
+    assert broken.status == "done", (broken.kind, broken.message)
+    said = (broken.folder / "solver.log").read_text()
+    assert "kind=linear_solver rung=viscous" in said and "rung=shorter_moves" not in said
+    for key in ("edv_ml", "esv_ml", "d_global_mm"):
+        assert broken.features[key] == pytest.approx(whole.features[key], rel=1e-7)
