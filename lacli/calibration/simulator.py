@@ -119,7 +119,7 @@ def asked(scene: Scene, targets: Sequence[str], sensitivities: bool = True) -> S
     """The scene with the outputs that a calibration to these targets reads, and no others."""
     chosen: dict[str, Any] = {"fields": "none", "unloaded": False, "sensitivities": sensitivities}
     if times := times_of(targets):
-        chosen["times"] = times
+        chosen |= {"times": times, "conduit": False}  # times name all frames
     return scene.model_copy(update={"outputs": scene.outputs.model_copy(update=chosen)})
 
 

@@ -54,6 +54,21 @@ class Scene(Section):
             )
         return self
 
+    @model_validator(mode="after")
+    def _no_idle_switch(self) -> Scene:
+        if self.numerics.settle_ed and (self.numerics.unloading != "prestrain" or self.loads.edp_mmhg == 0):
+            why = "loads.edp_mmhg is 0" if self.loads.edp_mmhg == 0 else 'numerics.unloading is "backward"'
+            raise ValueError(
+                f"numerics.settle_ed would do nothing where {why}: what settles is a wall that holds EDP by its prestrain; "
+                "leave numerics.settle_ed out"
+            )
+        if self.outputs.conduit and self.outputs.times:
+            raise ValueError(
+                "outputs.conduit would do nothing beside outputs.times, which name all frames: those after end-systole are its "
+                "conduit; leave outputs.conduit out, or outputs.times"
+            )
+        return self
+
     def content(self) -> dict[str, Any]:
         """Plain values, without the anatomy's path (a path is no content)."""
         document = self.model_dump(mode="json")

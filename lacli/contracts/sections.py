@@ -197,9 +197,9 @@ class Numerics(Section):
 
     ``unloading``: "prestrain" gives the wall the strain that balances EDP in the image itself; "backward" looks for an unloaded
     shape by backward displacement. ``settle_ed``: where the image's shape is no stable equilibrium, let the wall settle into
-    the nearest stable one before the reservoir phase. ``rest_sweeps``: springs are at rest in the image less the prestrain's
-    field, or, after as many sweeps of a fixed point, where the wall without pressure relaxes to; docs/methods.md tells what this
-    changes. ``engine``: what assembles and solves: the compiled "plugin", the "script"
+    the nearest stable one before the reservoir phase (with "prestrain" and an EDP alone). ``rest_sweeps``: springs are at rest in
+    the image less the prestrain's field, or, after as many sweeps of a fixed point, where the wall without pressure relaxes to;
+    docs/methods.md tells what this changes. ``engine``: what assembles and solves: the compiled "plugin", the "script"
     that needs no C++ compiler and gives the same numbers, or "auto", the plugin where it can be built. ``max_newton``: steps
     at one load before it is shortened; generous, since a soft wall that snaps through gets past its fold by going on at the
     load it has, where shorter loads only come to the same fold again.
@@ -238,7 +238,10 @@ class Outputs(Section):
     times: tuple[float, ...] = Field(
         default=(), description="times of the frames, shares of the cycle, in place of `frames`; after end-systole, conduit"
     )
-    conduit: bool = Field(default=False, description="whether the conduit phase after end-systole is simulated")
+    conduit: bool = Field(
+        default=False,
+        description="whether the conduit phase after end-systole is simulated; not beside `times`, which name it",
+    )
     fields: Literal["none", "es", "all"] = Field(
         default="es", description="states written as VTU files: none, end-diastole and end-systole, or every frame"
     )

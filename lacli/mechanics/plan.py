@@ -155,6 +155,7 @@ def describe(scene: Scene, bundle: Bundle) -> list[tuple[str, bool, str]]:
             else "EDP is 0: the image is unloaded",
         ),
         ("unloaded state", plan.unloaded or (plan.unloading and not plan.prestrain), "outputs.unloaded"),
+        ("settled end-diastole", plan.prestrain and scene.numerics.settle_ed, "numerics.settle_ed"),
         ("springs where the wall relaxes", plan.rest_sweeps > 0, f"numerics.rest_sweeps is {scene.numerics.rest_sweeps}"),
         ("mitral motion", plan.moving, f"motion.annulus is {scene.motion.annulus!r}"),
         ("vein springs", plan.vein_springs, f"{loads.vein_spring_kpa_per_um:g} kPa/um on the right veins"),

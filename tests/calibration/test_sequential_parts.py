@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,7 +15,8 @@ from lacli.calibration.sequential.descent import levenberg, lowest
 from lacli.calibration.sequential.laplace import Laplace
 from lacli.calibration.sequential.outputs import Features
 from lacli.calibration.sequential.scale import Scale
-from lacli.calibration.simulator import times_of
+from lacli.calibration.simulator import asked, times_of
+from lacli.contracts.scene import build_scene
 from lacli.contracts.targets import Targets
 from lacli.inference.box import make_box
 
@@ -200,3 +202,12 @@ def test_errors_of_the_scene_widen_targets() -> None:
     wide = targets.widened({"a": 0.4})
     assert wide.sd == pytest.approx([0.5, 1.0])  # sqrt(.09 + .16)
     assert wide.covariance == pytest.approx(np.array([[0.25, 0.1], [0.1, 1.0]]))
+
+
+def test_a_calibration_to_times_names_all_frames_of_a_scene_with_a_conduit() -> None:
+    """What it runs is a scene that can be read again."""
+    given = build_scene({"anatomy": {"bundle": "/la"}}, ["outputs.conduit=true"], folder=Path("/"), where="test")
+    framed = asked(given, ("n_roof_mm@0.2", "esv_ml"))
+    assert framed.outputs.times == (0.2,) and not framed.outputs.conduit
+    assert build_scene(framed.model_dump(mode="json", exclude_none=True), [], folder=Path("/"), where="again") == framed
+    assert asked(given, ("esv_ml",)).outputs.conduit

@@ -112,6 +112,24 @@ def test_any_document_is_taken_or_refused_by_name(value: Any) -> None:
 
 
 @pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (
+            ("numerics.settle_ed=true", "numerics.unloading=backward"),
+            r'settle_ed would do nothing where .*unloading is "backward"',
+        ),
+        (("numerics.settle_ed=true", "loads.edp_mmhg=0"), r"settle_ed would do nothing where loads\.edp_mmhg is 0"),
+        (("outputs.conduit=true", "outputs.times=[0.2, 0.6]"), r"outputs\.conduit would do nothing beside outputs\.times"),
+    ],
+)
+def test_a_switch_that_would_do_nothing_is_refused(settings: tuple[str, ...], message: str) -> None:
+    with pytest.raises(SceneError, match=message):
+        scene(*settings)
+    for one in settings:  # each alone is taken
+        scene(one)
+
+
+@pytest.mark.parametrize(
     ("override", "message"),
     [
         ("loads.epd_mmhg=8", r"loads\.epd_mmhg: unknown key; known here: edp_mmhg, esp_mmhg, transient_mmhg, vein_spring"),

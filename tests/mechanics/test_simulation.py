@@ -206,6 +206,12 @@ def test_what_the_scene_needs_and_the_bundle_lacks_is_named(folder: Path, ball: 
         inputs.material_table(naked, scene(folder).materials, 100.0)
 
 
+@pytest.mark.parametrize("settles", [True, False])
+def test_the_plan_tells_whether_end_diastole_settles(folder: Path, ball: Bundle, settles: bool) -> None:
+    chosen = scene(folder, "loads.edp_mmhg=2", f"numerics.settle_ed={str(settles).lower()}")
+    assert ("settled end-diastole", settles, "numerics.settle_ed") in plan.describe(chosen, ball)
+
+
 def test_features_of_known_motions(ball: Bundle) -> None:
     shift = np.array([3.0, 0.0, 4.0])
     moved = surface_features(ball, ball.points, ball.points + shift)
