@@ -142,9 +142,20 @@ def _unloaded(case: Case, results: Results) -> FloatArray | None:
     return None if case.plan.prestrain else results.states["es"].reference
 
 
+def unstable_modes(results: Results) -> dict[str, int]:
+    """Unstable modes of the states whose tangents the run has looked at, by name: of end-diastole under pressure, of end-systole,
+    and of frames with derivatives."""
+    lines = {name: results.numbers.get(f"sensitivities_{name}", {}) for name in results.states}
+    lines |= {name: results.numbers.get(f"{name}_modes", {}) for name in ("ed", "es")}
+    # less than 0: it cannot be factorised
+    return {name: int(line["unstable"]) for name, line in lines.items() if line.get("unstable", -1) >= 0}
+
+
 def transients(case: Case, results: Results) -> pd.DataFrame:
-    """Pressure, volume and the endocardium's features from end-diastole, a row for each state in order of time."""
+    """Pressure, volume and the endocardium's features from end-diastole, a row for each state in order of time; last the
+    unstable modes, where they are known."""
     endocardium = Endocardium.of(case.bundle)
+    unstable = unstable_modes(results)
     by_file = {phase.file: phase for phase in case.plan.stretches()}
     rows = []
     for name, state in results.states.items():
@@ -157,9 +168,10 @@ def transients(case: Case, results: Results) -> pd.DataFrame:
                 "phase": phase.name if phase else "ed",
                 "pressure_mmhg": state.pressure / MMHG_KPA,
                 **endocardium.features(state.x),
+                "unstable_modes": unstable.get(name),
             }
         )
-    return pd.DataFrame(rows).sort_values("time", ignore_index=True)
+    return pd.DataFrame(rows).astype({"unstable_modes": "Int64"}).sort_values("time", ignore_index=True)
 
 
 def features_at_times(folder: Path) -> tuple[dict[str, float], float]:

@@ -19,7 +19,7 @@ from lacli.freefem.run import Outcome
 from lacli.mechanics import deck, results, sensitivities
 from lacli.mechanics import warm as starts
 from lacli.mechanics.deck import Deck, OnProgress
-from lacli.mechanics.numerics import equilibria
+from lacli.mechanics.numerics import equilibria, stability
 from lacli.mechanics.numerics.stated import with_errors
 from lacli.mechanics.plan import prepare
 from lacli.mechanics.store import OpenRun, StoredRun, check_products, open_run
@@ -128,7 +128,7 @@ def collect(case: Case, folder: Path, **cost: float) -> tuple[dict[str, Any], li
     Raises SimulationError where FreeFEM's results cannot be read.
     """
     found = results.read(case, folder)
-    features = results.features(case, found) | equilibria.told(case, found) | cost
+    features = results.features(case, found) | equilibria.told(case, found) | stability.told(case, found) | cost
     products = [*_PRODUCTS, *sensitivities.write(case, found, folder)]
     if said := sensitivities.statement(case, found):
         features["sensitivities"] = said

@@ -19,7 +19,8 @@ from lacli.contracts.scene import Scene, build_scene, with_parameters
 from lacli.contracts.sections import MMHG_KPA
 from lacli.freefem.program import FreeFem
 from lacli.mechanics import deck, inputs, plan, sensitivities
-from lacli.mechanics.results import Results, State
+from lacli.mechanics.numerics import stability
+from lacli.mechanics.results import Results, State, transients
 from lacli.mechanics.sensitivities import INPUTS, VEIN_SPRING, load_sensitivities
 from lacli.mechanics.simulation import RunResult, run_scene
 
@@ -176,6 +177,26 @@ def test_an_unstable_state_has_none(folder: Path) -> None:
         "ed_unstable_modes": 7,
     }
     assert sensitivities.feature_rates(case, Results({}, numbers), folder) is None
+
+
+def test_an_unstable_frame_is_told(folder: Path) -> None:
+    """Two frames, one of them unstable; without sensitivities nobody knows, and the column is empty there."""
+    case = plan.prepare(scene(folder, "outputs.frames=3"))
+    state = State(case.bundle.points, case.bundle.points, 1.0, 1.0)
+    states = dict.fromkeys(("ed", "frame001", "frame002", "es"), state)
+    modes = {"ed_modes": {"unstable": 7.0}, "es_modes": {"unstable": 0.0}}
+    frames = {
+        "sensitivities_frame001": {"given": 0.0, "unstable": 3.0, "wrong": 0.0},
+        "sensitivities_frame002": {"given": 0.0, "unstable": -1.0, "wrong": 0.0},  # cannot be factorised
+    }
+    known, unknown = Results(states, {**modes, **frames}), Results(states, modes)
+    assert transients(case, known)["unstable_modes"].fillna(-9).tolist() == [7, 3, -9, 0]
+    assert transients(case, unknown)["unstable_modes"].fillna(-9).tolist() == [7, -9, -9, 0]
+    # a third of the way to end-systole
+    time = f"{round(case.plan.stretches()[0].time_to / 3, 4):g}"
+    assert stability.told(case, known) == {"unstable_frames": {time: 3}}
+    assert f"3 at {time} RR" in stability.said_of(stability.told(case, known))
+    assert stability.told(case, unknown) == {} and stability.said_of({}) == ""
 
 
 def test_an_end_diastole_that_settled_without_derivatives_has_none_and_not_zero(

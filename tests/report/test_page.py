@@ -64,6 +64,7 @@ def run(tmp_path: Path) -> Path:
     manifest = {"key": "k1", "status": "done", "versions": {"lacli": "9.9.9", "freefem": "4.9"}, "cpu_s": 12.5, "wall_s": 20.0}
     (folder / "manifest.json").write_text(json.dumps(manifest))
     features = {"edv_ml": 99.8, "esv_ml": 134.8, "d_global_mm": 4.6, "min_jacobian": 0.85, "es_unstable_modes": 2}
+    features["unstable_frames"] = {"0.2": 3}
     (folder / "features.json").write_text(json.dumps(features | {f"d_{name}_mm": 5.0 for name in BODY_REGIONS}))
     times = "\n".join(f"{t},{'ed' if t == 0 else 'reservoir'},{6 + 10 * t},{100 + 50 * t},{9 * t}" for t in (0.0, 0.2, 0.4))
     (folder / "transients.csv").write_text(f"time,phase,pressure_mmhg,volume_ml,d_global_mm\n{times}\n")
@@ -126,6 +127,7 @@ def test_the_page_of_a_run(run: Path, tmp_path: Path) -> None:
     for words in (
         "134.8",
         "not stable: 2 ways",
+        "3 at 0.2 RR",
         "No discretisation error is known",
         "Wall thickness is not shown",
         "FreeFEM 4.9",

@@ -16,7 +16,8 @@ from lacli.cli.terminal.modes import refuse
 from lacli.cli.terminal.scenes import read_scene
 from lacli.contracts.identity import Identity, file_digest, identify, run_key
 from lacli.contracts.scene import Scene
-from lacli.mechanics.numerics.equilibria import SPREAD, said_of
+from lacli.mechanics.numerics import equilibria, stability
+from lacli.mechanics.numerics.equilibria import SPREAD
 from lacli.mechanics.store import find_run
 
 _UNITS = {"_ml": "mL", "_mm": "mm", "_s": "s", "_mb": "MB", "_mmhg": "mmHg", "_kpa": "kPa"}
@@ -205,8 +206,9 @@ def _show_features(title: str, features: dict[str, Any]) -> None:
             rows.append(row if spread is None else [*row, f"{spread[name]:.2g}" if name in spread else ""])
     columns = ["quantity", "value", "unit", "discretisation error, sd"]
     print_table(title, columns if spread is None else [*columns, "between equilibria"], rows)
-    if words := said_of(features):
-        err.print(words, highlight=False)
+    for words in (equilibria.said_of(features), stability.said_of(features)):
+        if words:
+            err.print(words, highlight=False)
 
 
 def _shown(name: str, value: Any) -> bool:

@@ -27,6 +27,7 @@ RUN: tuple[Field, ...] = (
     Field("ed_shape_error_p95_mm", "mm", "the same, exceeded by 5 % of the points"),
     Field("ed_unstable_modes", "", "ways out of an end-diastolic equilibrium that is not stable", always=False),
     Field("es_unstable_modes", "", "the same at end-systole"),
+    Field("unstable_frames", "", "the same of other frames that have any, by time; with `outputs.sensitivities`", always=False),
     Field("unloading_iterations", "", "iterations to the state at end-diastole", always=False),
     Field("rest_move_mean_mm", "mm", "how far the last of `numerics.rest_sweeps` moved the springs' rest, mean", always=False),
     Field("rest_move_max_mm", "mm", "the same, at most", always=False),

@@ -16,7 +16,8 @@ from lacli.contracts.features import KEYS, PUBLISHED
 from lacli.contracts.identity import run_key
 from lacli.contracts.labels import BODY_REGIONS
 from lacli.contracts.scene import Scene, load_scene
-from lacli.mechanics.numerics.equilibria import SPREAD, said_of
+from lacli.mechanics.numerics import equilibria, stability
+from lacli.mechanics.numerics.equilibria import SPREAD
 from lacli.mechanics.numerics.stated import with_errors
 from lacli.report.page import methods
 from lacli.report.page.document import Figure, Page, Section, Table, number, picture
@@ -200,6 +201,5 @@ def _doubts(run: Run) -> tuple[str, ...]:
         modes = run.features.get(key)
         if isinstance(modes, (int, float)) and math.isfinite(modes) and modes > 0:
             said.append(f"The equilibrium at {name} is not stable: {modes:g} ways out of it.")
-    if words := said_of(run.features):
-        said.append(words)
+    said += [words for of in (equilibria, stability) if (words := of.said_of(run.features))]
     return tuple(said)
