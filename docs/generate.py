@@ -197,6 +197,11 @@ def features_page() -> str:
     text = MADE + "# Features\n\nThe same functions measure image and simulation, on the same curved faces.\n"
     text += "A name may end in `@<time>`, the time as a fraction of the RR interval from end-diastole (ED);\n"
     text += "without it, it stands at end-systole (ES).\n\n"
+    text += (
+        "Displacements and strains are from ED as imaged, the bundle's shape, which is a simulation's own ED but where the wall\n"
+    )
+    text += 'has settled from it (`numerics.settle_ed`) or an unloaded shape was sought (`numerics.unloading = "backward"`):\n'
+    text += "there they hold what lies between both too. `edv_ml` is of the simulation's own ED.\n\n"
     return text + table(["key", "unit", "definition"], [[code(f.key), f.unit or "-", plain(f.definition)] for f in FEATURES])
 
 

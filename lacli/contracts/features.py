@@ -2,6 +2,10 @@
 
 A feature at a time of the cycle is ``<key>@<time>``, the time as a fraction of the RR interval from end-diastole (ED):
 ``n_septum_mm@0.25``. A key alone, and ``esv_ml``, stand at end-systole (ES), the peak of the volume.
+
+Displacements and strains are from ED as it was imaged, the bundle's shape. A simulation's own ED is that shape, but where the
+wall has settled from it (``numerics.settle_ed``) or an unloaded shape was sought (``numerics.unloading`` "backward"): there they
+hold what lies between both too, and of this table ``edv_ml`` alone is of the simulation's own ED.
 """
 
 from __future__ import annotations
@@ -29,7 +33,7 @@ class Feature:
 
 _VOLUME, _LENGTH, _ALONG = (0.0, 2000.0), (0.0, 200.0), (-200.0, 200.0)
 _REGIONAL = {
-    "d_{}_mm": ("mm", _LENGTH, "mean of |u|, u the displacement of the endocardium from ED"),
+    "d_{}_mm": ("mm", _LENGTH, "mean of |u|, u the displacement of the endocardium from ED as imaged"),
     "n_{}_mm": ("mm", _ALONG, "mean of u along the outward normal of the ED surface"),
     "a_{}_mm": ("mm", _ALONG, "mean of u along the unit tangent of growing UAC alpha (septal to lateral), fixed at ED"),
     "b_{}_mm": ("mm", _ALONG, "mean of u along the unit tangent of growing UAC beta (posterior to anterior), fixed at ED"),
@@ -42,7 +46,10 @@ FEATURES: tuple[Feature, ...] = (
     Feature("esv_ml", "mL", "volume inside endocardium and valve planes at ES, curved faces", possible=_VOLUME),
     Feature("volume_ml", "mL", "volume inside endocardium and valve planes, curved faces", possible=_VOLUME),
     Feature(
-        "d_global_mm", "mm", "mean of |u| over the body's endocardium by ED area, u the displacement from ED", possible=_LENGTH
+        "d_global_mm",
+        "mm",
+        "mean of |u| over the body's endocardium by ED area, u the displacement from ED as imaged",
+        possible=_LENGTH,
     ),
     *(
         Feature(pattern.format(region), unit, f"{text}; {region}, by ED area", region, possible)

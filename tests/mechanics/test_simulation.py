@@ -16,6 +16,7 @@ from lacli.base.errors import AnatomyError, InputError, SceneError, SimulationEr
 from lacli.contracts import bundle as bundles
 from lacli.contracts.bundle import Bundle, as_order
 from lacli.contracts.case import Case
+from lacli.contracts.features import KEYS
 from lacli.contracts.labels import EPI
 from lacli.contracts.motion import save_motion
 from lacli.contracts.scene import Scene, build_scene
@@ -23,6 +24,7 @@ from lacli.freefem import run as freefem
 from lacli.freefem.files import read_state
 from lacli.mechanics import deck, inputs, plan, simulation
 from lacli.mechanics.features import regional_extras
+from lacli.mechanics.results import Results, State, transients
 from lacli.mechanics.store import list_runs
 from lacli.motion.annulus import asked_motion
 from lacli.synthetic.atrium import synthesize
@@ -210,6 +212,16 @@ def test_what_the_scene_needs_and_the_bundle_lacks_is_named(folder: Path, ball: 
 def test_the_plan_tells_whether_end_diastole_settles(folder: Path, ball: Bundle, settles: bool) -> None:
     chosen = scene(folder, "loads.edp_mmhg=2", f"numerics.settle_ed={str(settles).lower()}")
     assert ("settled end-diastole", settles, "numerics.settle_ed") in plan.describe(chosen, ball)
+
+
+def test_displacements_are_from_the_image_where_end_diastole_is_another(folder: Path, ball: Bundle) -> None:
+    """End-diastole 1 mm off the image, end-systole 3 mm: 3 mm of displacement, not 2, as the features' definition says."""
+    chosen = scene(folder, "loads.edp_mmhg=2", "numerics.unloading='backward'")
+    case = Case(chosen, ball, None, plan.make_plan(chosen, ball, None), "k")
+    at = {name: State(ball.points + np.array([0.0, 0.0, up]), ball.points, 1.0, 1.0) for name, up in (("ed", 1.0), ("es", 3.0))}
+    table = transients(case, Results(at, {}))
+    assert table["d_global_mm"].tolist() == pytest.approx([1.0, 3.0])
+    assert "as imaged" in KEYS["d_global_mm"].definition and "as imaged" in KEYS["d_roof_mm"].definition
 
 
 def test_features_of_known_motions(ball: Bundle) -> None:
