@@ -10,7 +10,7 @@ from lacli.api.progress import Cancel, OnProgress, Progress, Stage, check
 from lacli.base.errors import LacliError, UsageError
 
 if TYPE_CHECKING:
-    from lacli.base.arrays import BoolArray, FloatArray
+    from lacli.base.arrays import FloatArray
     from lacli.contracts.identity import Identity
     from lacli.contracts.tables.table import RunTable
     from lacli.contracts.targets import Targets
@@ -107,6 +107,7 @@ def emulate(
     from lacli.inference.emulation.emulator_set import EmulatorSet, emulators_identity
     from lacli.inference.emulation.gradient_gp import fit_gradient_emulators
     from lacli.inference.emulation.validation import cross_validate, cross_validate_gradients
+    from lacli.inference.given import logarithmic
 
     if folds < 2 or starts < 1:
         raise UsageError(f"emulate: folds {folds}, starts {starts}; at least 2 and 1.")
@@ -135,8 +136,9 @@ def fit(
     from lacli.inference.emulation.emulator import fit_emulators
     from lacli.inference.emulation.emulator_set import EmulatorSet
     from lacli.inference.emulation.gradient_gp import fit_gradient_emulators
+    from lacli.inference.given import logarithmic
 
-    may_log = logarithmic(table, box, ())
+    may_log = logarithmic(table, box)
     stage = Stage("emulators", len(table.outputs), progress, cancel).begin()
     if table.gradients is not None:
         return fit_gradient_emulators(table, tick=stage.step, may_log=may_log)
@@ -162,6 +164,7 @@ def sensitivity(
     import numpy as np
 
     from lacli.inference.box import table_box
+    from lacli.inference.given import check_logarithms
     from lacli.inference.sampling.coverage import check_coverage
     from lacli.inference.sensitivity import emulator_indices
 
@@ -170,6 +173,7 @@ def sensitivity(
         box = table_box(emulators.inputs, np.vstack(emulators.range()))
     elif box.names != emulators.inputs:
         raise UsageError(f"sensitivity: the box must hold exactly the inputs {', '.join(emulators.inputs)}, in this order.")
+    check_logarithms(emulators, box)
     covered = check_coverage(box, emulators.training_inputs())
     stage = Stage("Sobol' indices", len(emulators.outputs), progress, cancel).begin()
     indices = emulator_indices(emulators, box.lower, box.upper, count, draws=draws, seed=seed, tick=stage.step)
@@ -180,27 +184,6 @@ def check_count(count: int) -> None:
     """Raises UsageError where a number of base points is no power of two."""
     if count < 2 or count & (count - 1):
         raise UsageError(f"-n {count}: must be a power of two (a Sobol' sequence is balanced only there).")
-
-
-def logarithmic(table: RunTable, box: Box | None, linear: Sequence[str]) -> BoolArray:
-    """Inputs that may be taken as logarithms (d,): positive in the runs and in the box, and not named ``linear``.
-
-    Raises UsageError for a name that is no input, and for a box of other inputs.
-    """
-    import numpy as np
-
-    from lacli.inference.emulation.scales import may_be_logarithmic
-
-    unknown = [name for name in linear if name not in table.inputs]
-    if unknown:
-        raise UsageError(f"--linear {', '.join(unknown)}: no input of the table; its inputs are {', '.join(table.inputs)}.")
-    found: BoolArray = may_be_logarithmic(table.x)
-    if box is not None:
-        if box.names != table.inputs:
-            raise UsageError(f"emulate: the box must hold exactly the inputs {', '.join(table.inputs)}, in this order.")
-        found = found & may_be_logarithmic(np.vstack([table.x, box.lower, box.upper]))
-    found &= np.array([name not in linear for name in table.inputs])
-    return found
 
 
 def match(
@@ -229,6 +212,7 @@ def match(
     import numpy as np
 
     from lacli.inference.box import table_box
+    from lacli.inference.given import check_logarithms
     from lacli.inference.matching.matching import Region, Wave, next_runs, ruled_out_by
     from lacli.inference.matching.matching import match as measure
     from lacli.inference.matching.nroy import EmptyRegionError
@@ -245,6 +229,8 @@ def match(
             raise UsageError(
                 "match: the emulators of an earlier wave must have the inputs and outputs of this wave, in its order."
             )
+    for each in (*earlier, emulators):
+        check_logarithms(each, box)
     *before_it, own = _thresholds(len(earlier), threshold, earlier_threshold)
     waves = tuple(Wave(before, targets, bound) for before, bound in zip(earlier, before_it, strict=True))
     wave = Wave(emulators, targets, own)

@@ -73,6 +73,7 @@ def posterior(
     from lacli.base.files import check_folder, replacing, superseded, write_json
     from lacli.contracts.identity import conflict, parse_identity, settle
     from lacli.inference.box import table_box
+    from lacli.inference.given import check_logarithms
     from lacli.inference.matching.matching import Region, Wave
     from lacli.inference.matching.nroy import EmptyRegionError
     from lacli.inference.sampling import posterior as mcmc
@@ -89,6 +90,7 @@ def posterior(
         box = table_box(emulators.inputs, np.vstack(emulators.range()))
     elif box.names != emulators.inputs:
         raise UsageError(f"posterior: the box must hold exactly the inputs {', '.join(emulators.inputs)}, in this order.")
+    check_logarithms(emulators, box)
     region = Region(box)
     runs = emulators.training_inputs()
     covered = check_coverage(box, runs)

@@ -27,6 +27,7 @@ from lacli.inference.design import design
 from lacli.inference.emulation.emulator import fit_emulators
 from lacli.inference.emulation.emulator_set import AnyEmulators, EmulatorSet, emulators_identity, load_emulators, save_emulators
 from lacli.inference.emulation.feasibility import learn
+from lacli.inference.given import logarithmic
 from lacli.inference.matching.file import load_match, save_match
 from lacli.inference.matching.matching import Match, Region, Wave, match, next_runs, ruled_out_by
 from lacli.inference.matching.nroy import EmptyRegionError, RegionSample
@@ -164,7 +165,7 @@ def calibrate(
             log.run(simulator, x, _ticker(monitor, "runs", number, reports))
         place = folder / f"wave_{number}"
         tick = _ticker(monitor, "emulators", number, reports)
-        emulators, notes, finished_x, failed_x = _emulators(log, x, targets, settings, place, tick)
+        emulators, notes, finished_x, failed_x = _emulators(log, x, box, targets, settings, place, tick)
         wave = Wave(emulators, targets, settings.thresholds[min(number, len(settings.thresholds)) - 1])
         region = region.add(wave)
         monitor(Status("matching", number, 0, 1, tuple(reports)))
@@ -276,7 +277,7 @@ def obstacle(folder: Path, identity: Identity) -> str:
 
 
 def _emulators(
-    log: RunLog, x: FloatArray, targets: Targets, settings: Settings, place: Path, tick: Callable[[int, int], None]
+    log: RunLog, x: FloatArray, box: Box, targets: Targets, settings: Settings, place: Path, tick: Callable[[int, int], None]
 ) -> tuple[AnyEmulators, list[str], FloatArray, FloatArray]:
     table = log.table(x, targets.names)
     missing = [name for name in targets.names if name not in table.outputs]
@@ -286,13 +287,13 @@ def _emulators(
         )
     table = table.select(targets.names)
     file = place / "emulators.npz"
-    identity = emulators_identity(table, starts=settings.starts, seed=settings.seed)
+    # they are asked all over the box: no logarithm of an input that reaches 0 there, though no run does
+    options: dict[str, Any] = {"starts": settings.starts, "seed": settings.seed, "may_log": logarithmic(table, box)}
+    identity = emulators_identity(table, **options)
     # whatever of a wave is not made from what there is now is made again: it costs no runs
     if not _kept(file, identity):
         done = itertools.count(1)
-        fitted = fit_emulators(
-            table, starts=settings.starts, seed=settings.seed, tick=lambda: tick(next(done), len(targets.names))
-        )
+        fitted = fit_emulators(table, tick=lambda: tick(next(done), len(targets.names)), **options)
         save_emulators(file, EmulatorSet(table.inputs, tuple(fitted)), identity)
     return load_emulators(file), list(table.notes), table.x, table.failed_x
 

@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from lacli.base.arrays import BoolArray
 from lacli.base.errors import UsageError
 from lacli.contracts.tables.table import RunTable
 from lacli.inference.box import Box, make_box, read_box, table_box
 from lacli.inference.emulation.emulator_set import AnyEmulators
+from lacli.inference.emulation.scales import may_be_logarithmic
 
 
 def selected(emulators: AnyEmulators, names: Sequence[str], file: Path) -> AnyEmulators:
@@ -39,11 +41,33 @@ def box_of(emulators: AnyEmulators, file: Path | None, table: RunTable | None = 
     if file is None:
         return table_box(emulators.inputs, table.x if table is not None else np.vstack([low, high]))
     box = box_of_inputs(emulators.inputs, file)
-    logged = emulators.log_share > 0
-    for name, takes_log, start in zip(emulators.inputs, logged, box.lower, strict=True):
+    check_logarithms(emulators, box, file)
+    return box
+
+
+def check_logarithms(emulators: AnyEmulators, box: Box, file: Path | None = None) -> None:
+    """Raises UsageError where the box (d), in the emulators' order, reaches where one of them is not defined: an input whose
+    logarithm it takes, at 0 or below. file: the box's, where it is of one."""
+    for name, takes_log, start in zip(emulators.inputs, emulators.log_share > 0, box.lower, strict=True):
         if takes_log and start <= 0:
             raise UsageError(
-                f"{file}: {name} starts at {start:g}; an emulator takes its logarithm: it must be positive. Or fit the emulators"
-                f" for this box: `lacli emulate --box {file}` (or --linear {name})."
+                f"{file or 'the box'}: {name} starts at {start:g}; an emulator takes its logarithm: it must be positive. Or fit"
+                f" the emulators for this box: `lacli emulate --box {file or 'FILE'}` (or --linear {name})."
             )
-    return box
+
+
+def logarithmic(table: RunTable, box: Box | None, linear: Sequence[str] = ()) -> BoolArray:
+    """Inputs that may be taken as logarithms (d,): positive in the runs and in the box, and not named ``linear``.
+
+    Raises UsageError for a name that is no input, and for a box of other inputs.
+    """
+    unknown = [name for name in linear if name not in table.inputs]
+    if unknown:
+        raise UsageError(f"--linear {', '.join(unknown)}: no input of the table; its inputs are {', '.join(table.inputs)}.")
+    found: BoolArray = may_be_logarithmic(table.x)
+    if box is not None:
+        if box.names != table.inputs:
+            raise UsageError(f"emulate: the box must hold exactly the inputs {', '.join(table.inputs)}, in this order.")
+        found = found & may_be_logarithmic(np.vstack([table.x, box.lower, box.upper]))
+    found &= np.array([name not in linear for name in table.inputs])
+    return found
