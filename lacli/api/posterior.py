@@ -78,7 +78,7 @@ def posterior(
     from lacli.inference.matching.nroy import EmptyRegionError
     from lacli.inference.sampling import posterior as mcmc
     from lacli.inference.sampling.arviz_file import write_inference_data
-    from lacli.inference.sampling.coverage import TOO_MUCH, WORTH_SAYING, check_coverage, unvisited
+    from lacli.inference.sampling.coverage import check_coverage, extrapolation
     from lacli.inference.sampling.likelihood import Density
     from lacli.inference.sampling.verdict import judge
 
@@ -131,7 +131,7 @@ def posterior(
         ) from error
     best, log_prob = mcmc.maximum(density, chain)
     summary = mcmc.summary(chain, best, density.region.box, density.targets.priors)
-    strayed = float(unvisited(chain.flat(), runs).mean())
+    beyond = extrapolation(covered, chain.flat(), runs)
     verdict = judge(emulators, targets, box, best, threshold, chain.flat())
     with replacing(folder / "summary.csv") as temporary:
         pd.DataFrame(summary).to_csv(temporary, index=False)
@@ -139,7 +139,7 @@ def posterior(
     document: dict[str, Any] = {
         "converged": chain.converged, "steps": chain.steps, "samples": len(chain.flat()), "acceptance": chain.acceptance,
         "rhat": float(chain.rhat.max()), "ess": float(chain.ess.min()), "log_posterior_at_map": log_prob, "inputs": summary,
-        "fit": verdict.document(), "outside_runs": {"box": covered.share, "posterior": strayed},
+        "fit": verdict.document(), "outside_runs": {"box": beyond.box, "posterior": beyond.posterior},
     }  # fmt: skip
     write_json(folder / "summary.json", document)
     if figures:
@@ -148,11 +148,8 @@ def posterior(
         stage.of("drawing", 0, 1)
         corner_figure(chain, best, box, folder / "corner.png")
         trace_figure(chain, folder / "trace.png")
-    said += verdict.warnings()
-    if strayed > WORTH_SAYING:
-        said.append(f"{strayed:.1%} of the posterior lies where no run has been: the emulators extrapolate there.")
-    refused = IMPLAUSIBLE if not verdict.plausible else ELSEWHERE if strayed > TOO_MUCH else ""
-    return Posterior(folder, chain, best, summary, verdict, document, tuple(said), refused)
+    refused = IMPLAUSIBLE if not verdict.plausible else ELSEWHERE if beyond.refused else ""
+    return Posterior(folder, chain, best, summary, verdict, document, (*beyond.warnings, *verdict.warnings()), refused)
 
 
 def check_prior(prior: str) -> None:

@@ -33,6 +33,7 @@ from lacli.inference.matching.matching import Match, Region, Wave, match, next_r
 from lacli.inference.matching.nroy import EmptyRegionError, RegionSample
 from lacli.inference.runs import RunLog, Simulator
 from lacli.inference.sampling import posterior as mcmc
+from lacli.inference.sampling.coverage import Extrapolation, check_coverage, extrapolation
 from lacli.inference.sampling.likelihood import Density
 from lacli.inference.sampling.verdict import Verdict, judge
 
@@ -106,7 +107,8 @@ def _quiet(status: Status) -> None:
 @dataclass(frozen=True)
 class Calibration:
     """The result. map_x (d,); table: summary by input; fit: predicted against target by feature at the most probable
-    point; rmse_mm over the displacements (None without runs); draws: features of runs at posterior draws (k, p)."""
+    point; rmse_mm over the displacements (None without runs); draws: features of runs at posterior draws (k, p); beyond: how
+    much lies where no run of a table from elsewhere has been (None of waves, whose runs are made for the box)."""
 
     waves: tuple[WaveReport, ...]
     region: Region
@@ -121,6 +123,7 @@ class Calibration:
     stopped: str
     x: FloatArray
     verdict: Verdict
+    beyond: Extrapolation | None = None
 
 
 def calibrate(
@@ -137,7 +140,7 @@ def calibrate(
 
     given (n, d): points already in the log, used as the first wave in place of a design. simulator None: no run is made;
     one wave on the given runs, then the posterior (``--from-table``). Raises LacliError with the target that no point
-    of the box reaches, if that is so.
+    of the box reaches, if that is so, UsageError where next to no given run lies in the box.
     """  # fmt: skip
     if simulator is not None and settings.first_runs > settings.max_runs:
         raise UsageError(
@@ -153,6 +156,7 @@ def calibrate(
     if words := obstacle(folder, identity):
         raise UsageError(f"{folder} {words}. Choose another --out.")
     x = given if given is not None else design(box, settings.first_runs, "sobol", settings.seed)
+    covered = None  # waves make their runs for the box
     region, stopped = Region(box), ""
     reports: list[WaveReport] = []
     samples: list[RegionSample] = []
@@ -166,6 +170,8 @@ def calibrate(
         place = folder / f"wave_{number}"
         tick = _ticker(monitor, "emulators", number, reports)
         emulators, notes, finished_x, failed_x = _emulators(log, x, box, targets, settings, place, tick)
+        if simulator is None:
+            covered = check_coverage(box, finished_x)
         wave = Wave(emulators, targets, settings.thresholds[min(number, len(settings.thresholds)) - 1])
         region = region.add(wave)
         monitor(Status("matching", number, 0, 1, tuple(reports)))
@@ -209,6 +215,7 @@ def calibrate(
     map_x, _ = mcmc.maximum(density, chain)
     table = mcmc.summary(chain, map_x, density.region.box, density.targets.priors)
     verdict = judge(emulators, density.targets, box, map_x, region.waves[-1].threshold, chain.flat())
+    beyond = extrapolation(covered, chain.flat(), finished_x) if covered is not None else None
     draws = np.empty((0, len(targets.names)))
     fit, rmse = _fit(emulators, targets, map_x, None), None
     if simulator is not None:
@@ -223,7 +230,7 @@ def calibrate(
         off = [float(r["simulated"]) - float(r["target"]) for r in fit if str(r["feature"]).endswith("_mm")]
         rmse = float(np.sqrt(np.mean(np.square(off)))) if off else None
     result = Calibration(
-        tuple(reports), region, emulators, tuple(samples), chain, map_x, table, fit, rmse, draws, stopped, x, verdict
+        tuple(reports), region, emulators, tuple(samples), chain, map_x, table, fit, rmse, draws, stopped, x, verdict, beyond
     )  # fmt: skip
     write_json(folder / "result.json", {"identity": identity.digest, **document(result)})
     return result
@@ -241,6 +248,7 @@ def document(result: Calibration) -> dict[str, Any]:
             "acceptance": result.chain.acceptance,
             "fit": result.fit,
             "verdict": result.verdict.document(),
+            **({"outside_runs": {"box": beyond.box, "posterior": beyond.posterior}} if (beyond := result.beyond) else {}),
             "rmse_mm": result.rmse_mm,
             "draws": result.draws.tolist(),
         }

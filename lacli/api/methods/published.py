@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lacli.api.methods.calibrated import Calibrated, Recovered, Work
-from lacli.api.posterior import check_prior
+from lacli.api.posterior import ELSEWHERE, check_prior
 from lacli.api.progress import Cancel, OnProgress, Stage
 from lacli.base.errors import UsageError
 
@@ -73,8 +73,10 @@ def calibrate_by_waves(
         hear.drawing()
         pictures = drawing.draw_calibration(result, folder)
     notes = tuple(dict.fromkeys([*said, *(note for wave in result.waves for note in wave.notes)]))
-    refused = "" if result.verdict.plausible else REFUSED
-    return Calibrated(folder, result, notes, tuple(result.verdict.warnings()), refused, tuple(pictures))
+    beyond = result.beyond
+    refused = REFUSED if not result.verdict.plausible else ELSEWHERE if beyond is not None and beyond.refused else ""
+    warnings = (*(beyond.warnings if beyond is not None else ()), *result.verdict.warnings())
+    return Calibrated(folder, result, notes, warnings, refused, tuple(pictures))
 
 
 def recover(scene: Scene, truth: Mapping[str, float], folder: Path, settings: Settings | None, work: Work) -> Recovered:

@@ -60,6 +60,25 @@ def check_coverage(box: Box, runs: FloatArray, points: FloatArray | None = None,
     return found
 
 
+@dataclass(frozen=True)
+class Extrapolation:
+    """Shares of the box and of the posterior that lie where no run has been, what a user must know of them, and whether the
+    posterior is all but beyond the runs: then it is no answer."""
+
+    box: float
+    posterior: float
+    warnings: tuple[str, ...]
+    refused: bool
+
+
+def extrapolation(covered: Coverage, samples: FloatArray, runs: FloatArray) -> Extrapolation:
+    """Of a posterior's samples (m, d) by emulators of runs (n, d), in a box that is covered so."""
+    strayed = float(unvisited(samples, runs).mean())
+    words = f"{strayed:.1%} of the posterior lies where no run has been: the emulators extrapolate there."
+    said = (covered.words(), words if strayed > WORTH_SAYING else "")
+    return Extrapolation(covered.share, strayed, tuple(filter(None, said)), strayed > TOO_MUCH)
+
+
 def unvisited(points: FloatArray, runs: FloatArray) -> BoolArray:
     """Whether each point (m, d) is out of the range of the runs (n, d), or in a part of one or two inputs' ranges that holds
     no run though many would be there if they were even."""

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
+import lacli
 from lacli.api import inference
-from lacli.api.posterior import posterior
+from lacli.api.posterior import ELSEWHERE, posterior
 from lacli.base.errors import UsageError
 from lacli.calibration.calibration import Calibration, Settings
 from lacli.calibration.from_table import calibrate_table
@@ -65,3 +67,37 @@ def test_every_verb_refuses_a_box_at_whose_end_an_emulator_is_not_defined(tmp_pa
     ):
         with pytest.raises(UsageError, match="the box: k starts at 0; an emulator takes its logarithm"):
             verb()
+
+
+WIDE = make_box(["a", "e"], [0.5, 5.0], [4.0, 9.0])
+
+
+def straight(x: np.ndarray) -> np.ndarray:
+    a, e = x.T
+    return np.c_[100 - 12 * a + 2 * e, 8 - 2 * a + 0.3 * e]
+
+
+def table_of_a_part() -> pd.DataFrame:
+    """Runs where a is 0.5 to 1.5."""
+    x = design(make_box(["a", "e"], [0.5, 5.0], [1.5, 9.0]), 40)
+    return pd.DataFrame(np.c_[x, straight(x)], columns=["a", "e", "y", "w"])
+
+
+def test_a_posterior_where_no_run_has_been_is_told_and_refused(tmp_path: Path) -> None:
+    """a = 3 is beyond all runs; of the box, 2.5 / 3.5 = 71 % is (less the runs' margin of 2 runs in 40, 5 % of their range)."""
+    table_of_a_part().to_csv(tmp_path / "t.csv", index=False)
+    for at, refused in ((3.0, ELSEWHERE), (1.0, "")):
+        targets = goal(("y", "w"), straight(np.array([[at, 7.0]]))[0])
+        found = lacli.calibrate(None, targets, tmp_path / f"{at}", table=tmp_path / "t.csv", box=WIDE, settings=SETTINGS)
+        assert found.refused == refused
+        assert found.warnings[0].startswith("70.") and "of the box is where no run has been" in found.warnings[0]
+        assert "a: runs 0.5" in found.warnings[0]
+        assert any("of the posterior lies where no run has been" in text for text in found.warnings) == bool(refused)
+        outside = json.loads((tmp_path / f"{at}" / "result.json").read_text())["outside_runs"]
+        assert outside["box"] == pytest.approx(0.70, abs=0.01) and (outside["posterior"] > 0.95) == bool(refused)
+
+
+def test_a_box_beside_the_runs_is_refused(tmp_path: Path) -> None:
+    beside = make_box(["a", "e"], [3.0, 5.0], [4.0, 9.0])
+    with pytest.raises(UsageError, match=r"100.0% of the box is where no run has been.*Narrow the box"):
+        calibrated(tmp_path, table_of_a_part(), goal(("y", "w"), straight(np.array([[3.5, 7.0]]))[0]), beside)
