@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -135,11 +135,13 @@ def calibrate(
     log: RunLog,
     given: FloatArray | None = None,
     monitor: Monitor = _quiet,
+    said: Sequence[str] = (),
 ) -> Calibration:
     """Calibrate against the targets; ``log`` holds the runs.
 
     given (n, d): points already in the log, used as the first wave in place of a design. simulator None: no run is made;
-    one wave on the given runs, then the posterior (``--from-table``). Raises LacliError with the target that no point
+    one wave on the given runs, then the posterior (``--from-table``); said: what was met before, for the first wave's notes.
+    Raises LacliError with the target that no point
     of the box reaches, if that is so, UsageError where next to no given run lies in the box.
     """  # fmt: skip
     if simulator is not None and settings.first_runs > settings.max_runs:
@@ -170,6 +172,8 @@ def calibrate(
         place = folder / f"wave_{number}"
         tick = _ticker(monitor, "emulators", number, reports)
         emulators, notes, finished_x, failed_x = _emulators(log, x, box, targets, settings, place, tick)
+        if number == 1:
+            notes = [*said, *notes]
         if simulator is None:
             covered = check_coverage(box, finished_x)
         wave = Wave(emulators, targets, settings.thresholds[min(number, len(settings.thresholds)) - 1])

@@ -68,7 +68,8 @@ class RunLog:
 
     A row is found again by its exact input values, in a file whose identity (``<file>.identity.json`` beside it) is the same.
     A run that the machine ended is no result: its row counts the attempts, and it is done again. identity None: a table from
-    elsewhere, to which nothing is added. retry: forget how often the machine ended a run.
+    elsewhere, to which nothing is added, and whose rows may repeat the inputs of others (``repeats``). retry: forget how often
+    the machine ended a run.
 
     Raises UsageError for a file that holds other runs, TableError for one that cannot be read.
     """
@@ -78,6 +79,7 @@ class RunLog:
     ) -> None:
         self.path, self.inputs, self.outputs, self.identity = Path(path), tuple(inputs), tuple(outputs), identity
         self.rows: dict[tuple[float, ...], dict[str, object]] = {}
+        self.repeats: dict[tuple[float, ...], list[dict[str, object]]] = {}
         self.attempts: dict[tuple[float, ...], int] = {}
         if identity is not None and (words := obstacle(self.path, identity)):
             raise UsageError(f"{self.path} {words}. Choose another --out.")
@@ -90,8 +92,12 @@ class RunLog:
         tell = note if identity is None else _untold
         x = input_values(frame[list(self.inputs)], str(self.path), tell)
         for values, cells in zip(x.tolist(), frame.to_dict("records"), strict=True):
-            row = self.rows[tuple(values)] = {str(k): v for k, v in cells.items()}
+            row: dict[str, object] = {str(k): v for k, v in cells.items()}
             row.setdefault(STATUS, "done")
+            if identity is None and tuple(values) in self.rows:
+                self.repeats.setdefault(tuple(values), []).append(row)
+                continue
+            self.rows[tuple(values)] = row
             if Outcome({}, str(row[STATUS]), str(row.get(KIND))).lost:
                 self.attempts[tuple(values)] = 0 if retry else _count(row.get(ATTEMPTS))
 
@@ -189,8 +195,10 @@ class RunLog:
         return self.frame(x).reindex(columns=[name + SPREAD_SUFFIX for name in outputs]).to_numpy(float)
 
     def table(self, x: FloatArray, outputs: Sequence[str]) -> RunTable:
-        """The checked table of the runs at x (m, d), in that order, with the named outputs."""
-        frame = self.frame(x)
+        """The checked table of the runs at x (m, d), in that order, with the named outputs; of inputs that rows repeat, all of
+        them: what finished counts, whatever failed at the same place."""
+        points = [tuple(row.tolist()) for row in x]
+        frame = pd.DataFrame([row for point in points for row in (self.rows[point], *self.repeats.get(point, ()))])
         return combine(frame, frame, input_names=self.inputs, output_names=outputs, where=str(self.path))
 
 

@@ -100,9 +100,9 @@ def combine(
     Rows are paired by a label that both frames have (``table_pairing``). A run fails if its ``status`` (in either frame)
     says so, or an output is missing, not finite, or a mark of failure (1e20 where others are near 1): failures are kept as
     places where the simulator fails. Runs that never finished are left out. Columns that never vary are set aside with a
-    note; a run that repeats another in inputs and outputs is used once; of more than ``most`` runs, that many are drawn at
-    random (the same every time). ``<output>_error`` or ``_sd`` beside an output is its error, ``d<output>/d<input>`` its
-    derivative, checked against differences between the runs.
+    note; a run that repeats another in inputs and outputs is used once, one that contradicts another is used and noted; of
+    more than ``most`` runs, that many are drawn at random (the same every time). ``<output>_error`` or ``_sd`` beside an
+    output is its error, ``d<output>/d<input>`` its derivative, checked against differences between the runs.
 
     Raises TableError for a missing input value, rows that do not pair, words of status that are not known, names not
     found, columns of no numbers, inputs that depend on each other, or too few finished runs.
@@ -274,6 +274,8 @@ def _once(x: FloatArray, y: FloatArray, rows: np.ndarray, notes: list[str]) -> n
     _, first = np.unique(np.hstack([x[rows], y[rows]]), axis=0, return_index=True)
     if len(first) < len(rows):
         notes.append(f"{len(rows) - len(first)} repeated run(s) (same inputs, same outputs) are used once.")
+    if (other := len(first) - len(np.unique(x[rows], axis=0))) > 0:
+        notes.append(f"{other} run(s) have the inputs of another and other outputs: all are used, how they differ as noise.")
     return rows[np.sort(first)]
 
 

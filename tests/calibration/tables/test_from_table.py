@@ -19,6 +19,7 @@ from lacli.contracts.tables.table import read_one
 from lacli.contracts.targets import Targets
 from lacli.inference.box import Box, make_box
 from lacli.inference.design import design
+from lacli.inference.runs import RunLog
 from lacli.inference.sampling import posterior as mcmc
 
 SETTINGS = Settings(starts=1, mcmc=mcmc.Settings(ess=100, rhat=1.2, max_steps=300))
@@ -101,3 +102,37 @@ def test_a_box_beside_the_runs_is_refused(tmp_path: Path) -> None:
     beside = make_box(["a", "e"], [3.0, 5.0], [4.0, 9.0])
     with pytest.raises(UsageError, match=r"100.0% of the box is where no run has been.*Narrow the box"):
         calibrated(tmp_path, table_of_a_part(), goal(("y", "w"), straight(np.array([[3.5, 7.0]]))[0]), beside)
+
+
+def test_columns_that_vary_and_are_no_input_are_named(tmp_path: Path) -> None:
+    """With the published ranges, and with a box that names fewer inputs than vary."""
+    space = make_box(["alpha_septum", "edp_mmhg", "vein"], [0.5, 5.0, 0.5], [1.5, 9.0, 2.0])
+    x = design(space, 40)
+    y = straight(x[:, :2]) + 0.01 * x[:, 2:]
+    frame = pd.DataFrame(np.c_[x, y], columns=[*space.names, "esv_ml", "d_septum_mm"])
+    frame = frame.assign(d_roof_mm=frame["vein"], esv_ml_sd=0.1, mesh="fine", cpu_s=np.arange(40.0))  # none of them an input
+    targets = goal(("esv_ml", "d_septum_mm"), straight(np.array([[1.0, 7.0]]))[0], sd=0.5)
+    for number, (box, named) in enumerate(
+        ((None, "vein varies"), (make_box(["vein"], [0.5], [2.0]), "alpha_septum, edp_mmhg vary"))
+    ):
+        (tmp_path / str(number)).mkdir()
+        if box is not None:
+            frame[["esv_ml", "d_septum_mm"]] = np.c_[frame["vein"], -frame["vein"]]
+            targets = goal(("esv_ml", "d_septum_mm"), np.array([1.0, -1.0]), sd=0.5)
+        notes = calibrated(tmp_path / str(number), frame, targets, box).waves[0].notes
+        assert f"{named} between the runs" in notes[0] and "without being an input here" in notes[0]
+
+
+def test_rows_of_the_same_inputs_are_those_of_the_table(tmp_path: Path) -> None:
+    """Failed repeats of finished runs take nothing away; finished ones that contradict each other are told."""
+    frame = table_of_a_part().assign(status="done")
+    failed = frame.iloc[:10].assign(y=np.nan, w=np.nan, status="failed")
+    other = frame.iloc[10:13].assign(y=frame["y"] + 0.1)
+    pd.concat([frame, failed, other]).to_csv(tmp_path / "t.csv", index=False)
+    log = RunLog(tmp_path / "t.csv", ("a", "e"), ("y", "w"), None)
+    table = log.table(frame[["a", "e"]].to_numpy(), ("y", "w"))
+    whole = read_one(tmp_path / "t.csv", ["a", "e"], ["y", "w"])
+    assert table.runs == whole.runs == 43 and len(table.failed_x) == len(whole.failed_x) == 10
+    for notes in (table.notes, whole.notes):
+        assert any(text.startswith("3 run(s) have the inputs of another and other outputs") for text in notes)
+    assert {tuple(row) for row in np.c_[table.x, table.y]} == {tuple(row) for row in np.c_[whole.x, whole.y]}
