@@ -21,12 +21,14 @@ from lacli.base.files import write_json
 from lacli.base.schema import Array, array_file
 from lacli.contracts.identity import Identity, conflict, flatten, identify, parse_identity, read_identity, write_identity
 from lacli.contracts.priors import check_priors
+from lacli.contracts.tables.table import RunTable
 from lacli.contracts.targets import Targets
 from lacli.inference.box import Box
 from lacli.inference.design import design
 from lacli.inference.emulation.emulator import fit_emulators
 from lacli.inference.emulation.emulator_set import AnyEmulators, EmulatorSet, emulators_identity, load_emulators, save_emulators
 from lacli.inference.emulation.feasibility import learn
+from lacli.inference.emulation.gradient_gp import fit_gradient_emulators
 from lacli.inference.given import logarithmic
 from lacli.inference.matching.file import load_match, save_match
 from lacli.inference.matching.matching import Match, Region, Wave, match, next_runs, ruled_out_by
@@ -140,9 +142,9 @@ def calibrate(
     """Calibrate against the targets; ``log`` holds the runs.
 
     given (n, d): points already in the log, used as the first wave in place of a design. simulator None: no run is made;
-    one wave on the given runs, then the posterior (``--from-table``); said: what was met before, for the first wave's notes.
-    Raises LacliError with the target that no point
-    of the box reaches, if that is so, UsageError where next to no given run lies in the box.
+    one wave on the given runs, learnt with their derivatives where the table tells any, then the posterior (``--from-table``);
+    said: what was met before, for the first wave's notes. Raises LacliError with the target that no point of the box reaches,
+    if that is so, UsageError where next to no given run lies in the box.
     """  # fmt: skip
     if simulator is not None and settings.first_runs > settings.max_runs:
         raise UsageError(
@@ -300,14 +302,22 @@ def _emulators(
     table = table.select(targets.names)
     file = place / "emulators.npz"
     # they are asked all over the box: no logarithm of an input that reaches 0 there, though no run does
-    options: dict[str, Any] = {"starts": settings.starts, "seed": settings.seed, "may_log": logarithmic(table, box)}
+    options: dict[str, Any] = {"seed": settings.seed, "may_log": logarithmic(table, box)}
+    # a table from elsewhere is learnt as everywhere; waves are those published, of values alone
+    slopes = log.identity is None and table.gradients is not None
+    options |= {"gradients": True} if slopes else {"starts": settings.starts}
     identity = emulators_identity(table, **options)
     # whatever of a wave is not made from what there is now is made again: it costs no runs
     if not _kept(file, identity):
         done = itertools.count(1)
-        fitted = fit_emulators(table, tick=lambda: tick(next(done), len(targets.names)), **options)
-        save_emulators(file, EmulatorSet(table.inputs, tuple(fitted)), identity)
+        save_emulators(file, _learn(table, lambda: tick(next(done), len(targets.names)), options), identity)
     return load_emulators(file), list(table.notes), table.x, table.failed_x
+
+
+def _learn(table: RunTable, tick: Callable[[], None], options: dict[str, Any]) -> AnyEmulators:
+    if "gradients" in options:
+        return fit_gradient_emulators(table, tick=tick, seed=options["seed"], may_log=options["may_log"])
+    return EmulatorSet(table.inputs, tuple(fit_emulators(table, tick=tick, **options)))
 
 
 def _kept(file: Path, identity: Identity) -> bool:

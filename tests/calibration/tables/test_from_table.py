@@ -19,6 +19,7 @@ from lacli.contracts.tables.table import read_one
 from lacli.contracts.targets import Targets
 from lacli.inference.box import Box, make_box
 from lacli.inference.design import design
+from lacli.inference.emulation.gradient_gp import GradientEmulators
 from lacli.inference.runs import RunLog
 from lacli.inference.sampling import posterior as mcmc
 
@@ -136,3 +137,26 @@ def test_rows_of_the_same_inputs_are_those_of_the_table(tmp_path: Path) -> None:
     for notes in (table.notes, whole.notes):
         assert any(text.startswith("3 run(s) have the inputs of another and other outputs") for text in notes)
     assert {tuple(row) for row in np.c_[table.x, table.y]} == {tuple(row) for row in np.c_[whole.x, whole.y]}
+
+
+def wavy(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """sin(w x) and sin(w x) + a, (n, 2), with their derivatives (n, 4, 2)."""
+    w = np.array([2.0, 1.0, 0.7, 0.4])
+    value, slope = np.sin(x @ w), np.cos(x @ w)[:, None] * w
+    return np.c_[value, value + x[:, 0]], np.stack([slope, slope + np.eye(4)[0]], axis=2)
+
+
+def test_a_table_that_tells_derivatives_is_learnt_with_them(tmp_path: Path) -> None:
+    """As every other reader of the table learns it; waves learn from values, as published."""
+    space = make_box(list("abce"), [-1.0] * 4, [1.0] * 4)
+    x = design(space, 16)
+    y, slopes = wavy(x)
+    frame = pd.DataFrame(np.c_[x, y], columns=[*space.names, "y", "w"])
+    frame = frame.assign(**{f"d{o}/d{i}": slopes[:, j, p] for p, o in enumerate("yw") for j, i in enumerate(space.names)})
+    targets = goal(("y", "w"), wavy(np.zeros((1, 4)))[0][0], sd=0.3)
+    result = calibrated(tmp_path, frame, targets, space)
+    own = inference.fit(read_one(tmp_path / "t.csv", space.names, ("y", "w")), box=space)
+    at = space.uniform(200, np.random.default_rng(0))
+    assert isinstance(result.emulators, GradientEmulators)
+    assert np.array_equal(result.emulators.predict(at)[0], own.predict(at)[0])
+    assert np.sqrt(np.mean((result.emulators.predict(at)[0] - wavy(at)[0]) ** 2)) < 0.15
