@@ -1,9 +1,10 @@
 """What a choice of numerics does to the answer: the posterior by cheap simulations against that by the reference's.
 
 The patient is the reference's own simulation at the scene's parameters x*, so that the reference's posterior has its most
-probable point there. A cheaper choice reads the same targets through its own f_c: damped Gauss-Newton steps from x*, each by one
-run with its derivatives, lead to its most probable point; the curvature there is the posterior's precision (Laplace's
-approximation, a Gaussian of the box's variance as prior). Shifts are in standard deviations of the reference's posterior.
+probable point there. A cheaper choice reads the same targets through its own f_c: Gauss-Newton steps from x*, each by one run
+with its derivatives and halved while it leads uphill, lead to its most probable point; the curvature there is the posterior's
+precision (Laplace's approximation, a Gaussian of the box's variance as prior). Shifts are in standard deviations of the
+reference's posterior.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from lacli.mechanics.numerics.error_correlation import correlation
 
 MOST_RUNS = 5
 _SETTLED = 0.03  # standard deviations: a shorter step ends the search
+_NEAR = 0.1  # and one so short after the last run: a fraction of a shift that matters
 _PRIOR = 12.0  # precision of a uniform distribution on the unit interval
 _LONGEST = 0.25  # of the box in one step
 
@@ -116,15 +118,23 @@ def _effect(choice: Choice, patient: Targets, box: Box, x: FloatArray, scale: Sc
     error = float(np.sqrt(np.mean(solve_triangular(plain, first.y - patient.mean, lower=True) ** 2)))
     start = scale.to_z(x[None])[0]
     z, point, cpu = start, first, [first.cpu_s]
-    while len(cpu) < MOST_RUNS:
-        step = _step(point, patient, plain, z - start)
-        z_next = np.clip(z + step, 0.0, 1.0)
-        if np.max(np.abs(z_next - z) / reference) < _SETTLED:
-            z = z_next
-            break
-        z = z_next
-        point = _run(choice, patient, box, scale.to_x(z[None])[0], scale)
-        cpu.append(point.cpu_s)
+    share = 1.0  # of the Gauss-Newton step: halved while it leads uphill
+    ahead = _ahead(point, patient, plain, z, start)
+    while (left := float(np.max(np.abs(ahead) / reference))) >= _SETTLED and len(cpu) < MOST_RUNS:
+        tried = z + share * ahead
+        there = _run(choice, patient, box, scale.to_x(tried[None])[0], scale)
+        cpu.append(there.cpu_s)
+        if _misfit(there, patient, plain, tried - start) <= _misfit(point, patient, plain, z - start):
+            z, point, share = tried, there, 1.0
+            ahead = _ahead(point, patient, plain, z, start)
+        else:
+            share /= 2.0
+    if left >= _NEAR:
+        return Effect(
+            choice.name, len(cpu), float(np.mean(cpu)), *(np.full(box.d, np.nan),) * 5, error,
+            f"tradeoff: {len(cpu)} runs with {choice.name} did not come to its most probable point.",
+        )  # fmt: skip
+    z = z + ahead
     shift = (z - start) / reference
     wider = _sd(point.jacobian, wide)
     shifted = z + _step(point, patient, wide, z - start) - start
@@ -174,3 +184,14 @@ def _step(point: _Point, targets: Targets, factor: FloatArray, away: FloatArray)
     r = solve_triangular(factor, point.y - targets.mean, lower=True)
     step = -np.linalg.solve(j.T @ j + _PRIOR * np.eye(j.shape[1]), j.T @ r + _PRIOR * away)
     return np.asarray(step * min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-300)))
+
+
+def _ahead(point: _Point, targets: Targets, factor: FloatArray, z: FloatArray, start: FloatArray) -> FloatArray:
+    """The step (d,) from the run at z, as far as the box goes."""
+    return np.asarray(np.clip(z + _step(point, targets, factor, z - start), 0.0, 1.0) - z)
+
+
+def _misfit(point: _Point, targets: Targets, factor: FloatArray, away: FloatArray) -> float:
+    """What the search makes small: the misfit of a run and the distance from the prior's centre, squared."""
+    r = solve_triangular(factor, point.y - targets.mean, lower=True)
+    return float(r @ r + _PRIOR * away @ away)

@@ -104,3 +104,31 @@ def test_a_choice_that_fails_is_told_and_a_reference_that_fails_is_refused() -> 
         effects([Choice("plain", Linear(A, np.zeros(2), gradients=False), {})], TARGETS, BOX, AT)
     with pytest.raises(UsageError, match=r"outside the box: alpha_roof 9 \(1 to 3\)"):
         effects([REFERENCE], TARGETS, BOX, np.array([9.0, 20.0]))
+
+
+@dataclass
+class Steep(Linear):
+    """First output (2 / k) atan(k (z1 - .5 - c)) x 4: Gauss-Newton steps overshoot where k c is beyond 1.39, to and fro."""
+
+    k: float = 20.0
+    c: float = 0.0
+
+    def __call__(self, inputs: pd.DataFrame) -> Iterator[tuple[int, Outcome]]:
+        z = BOX.to_unit(inputs.to_numpy(float))[0]
+        t = self.k * (z[0] - 0.5 - self.c)
+        y = np.array([8.0 / self.k * np.arctan(t), 100.0 * z[1]])
+        slope = np.diag([8.0 / (1.0 + t**2), 100.0]) / (BOX.upper - BOX.lower)
+        gradients = {(n, i): slope[p, d] for p, n in enumerate(NAMES) for d, i in enumerate(BOX.names)}
+        yield 0, Outcome(dict(zip(NAMES, y, strict=True)), gradients=gradients, cpu_s=self.cpu_s)
+
+
+@pytest.mark.parametrize(("k", "c"), [(20.0, 0.1), (20.0, 0.15), (12.0, 0.1)])
+def test_a_search_that_goes_to_and_fro_is_damped_or_told(k: float, c: float) -> None:
+    """The optimum of the cheap choice is about c away, in sds of the reference: precision (8 / .1)^2 + 12 = 6412, sd .01249."""
+    reference = Choice("fine", Steep(A, np.zeros(2), cpu_s=100.0, k=k), {})
+    found, _ = effects([Choice("coarse", Steep(A, np.zeros(2), k=k, c=c), {}), reference], TARGETS, BOX, AT)
+    if found.trouble:
+        assert "did not come to its most probable point" in found.trouble and np.isnan(found.shift).all()
+        assert recommend([found], BOX.names, 1e9) is None
+    else:
+        assert found.shift[0] == pytest.approx(c * np.sqrt(6412.0), abs=0.1)

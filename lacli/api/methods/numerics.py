@@ -50,8 +50,9 @@ def calibration_tradeoff(
     The patient is the reference's simulation: quadratic cells on the last of ``meshes`` (bundles of the same atrium, coarse to
     fine), or on the scene's own. Of ``targets`` names and errors count (in the units of the names), their means do not. box: of
     the inputs (default: the published one). tolerance_sd: shift of an alpha that is acceptable, in posterior standard deviations.
-    Each choice takes a run with derivatives and up to four more. Raises UsageError where the scene is outside the box or tells no
-    derivatives, LacliError where the reference fails, AnatomyError, SolverMissingError, StorageError, Cancelled.
+    Each choice takes a run with derivatives and up to four more; one whose most probable point is not found by then has
+    ``trouble``. Raises UsageError where the scene is outside the box or tells no derivatives, LacliError where the reference
+    fails, AnatomyError, SolverMissingError, StorageError, Cancelled.
     """
     import numpy as np
 
