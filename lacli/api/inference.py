@@ -34,8 +34,9 @@ class Emulation:
 class Sensitivity:
     """Sobol' indices of the emulators' outputs (p) to their inputs (d) over the box, with the box.
 
-    outside: the share of the box where no run has been; warning: that in words where it is more than next to nothing, and which
-    outputs the emulators know too little of for their intervals to be believed; empty where there is nothing to say.
+    outside: the share of the box's ranges where no run has been or can be (where an input that must be below another is not);
+    warning: that in words where it is more than next to nothing, and which outputs the emulators know too little of for their
+    intervals to be believed; empty where there is nothing to say.
     """
 
     indices: Sobol
@@ -159,13 +160,14 @@ def sensitivity(
 
     box: ranges of the inputs, in their units (default: published ranges of known inputs, the runs' ranges of others);
     count: base points, a power of two; draws: functions drawn from each emulator for its own uncertainty.
-    Raises UsageError, LacliError where next to no run lies in the box, Cancelled.
+    Inputs are independent for them: points of the ranges that break an ordering of the box count. Raises UsageError, LacliError
+    where next to no run lies in the box, Cancelled.
     """
     import numpy as np
 
     from lacli.inference.box import table_box
     from lacli.inference.given import check_logarithms
-    from lacli.inference.sampling.coverage import check_coverage
+    from lacli.inference.sampling.coverage import WORTH_SAYING, check_coverage
     from lacli.inference.sensitivity import emulator_indices
 
     check_count(count)
@@ -174,10 +176,18 @@ def sensitivity(
     elif box.names != emulators.inputs:
         raise UsageError(f"sensitivity: the box must hold exactly the inputs {', '.join(emulators.inputs)}, in this order.")
     check_logarithms(emulators, box)
-    covered = check_coverage(box, emulators.training_inputs())
+    covered, broken = check_coverage(box, emulators.training_inputs()), 1.0 - box.share_in_order()
+    disordered = ""
+    if broken > WORTH_SAYING:
+        pairs = " and ".join(f"{box.names[i]} is not below {box.names[j]}" for i, j in box.ordered)
+        disordered = (
+            f"in {broken:.1%} of these ranges {pairs}, where no simulation can be: indices are of independent inputs and count"
+            " it. Give ranges that do not overlap."
+        )
     stage = Stage("Sobol' indices", len(emulators.outputs), progress, cancel).begin()
     indices = emulator_indices(emulators, box.lower, box.upper, count, draws=draws, seed=seed, tick=stage.step)
-    return Sensitivity(indices, box, covered.share, " ".join(filter(None, [covered.words(), _unlearned(emulators)])))
+    words = " ".join(filter(None, [covered.words(), disordered, _unlearned(emulators)]))
+    return Sensitivity(indices, box, broken + (1.0 - broken) * covered.share, words)
 
 
 def check_count(count: int) -> None:

@@ -6,12 +6,16 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from lacli.api import inference
 from lacli.base.errors import TableError
 from lacli.contracts.tables import file
 from lacli.contracts.tables.absent import is_code
 from lacli.contracts.tables.table import combine
 from lacli.contracts.targets import read_targets
+from lacli.inference.box import make_box
+from lacli.inference.design import design
 from lacli.inference.emulation.emulator import fit_emulator
+from lacli.inference.emulation.emulator_set import EmulatorSet
 from lacli.inference.emulation.scales import may_be_logarithmic
 
 
@@ -81,3 +85,17 @@ def test_targets_of_any_usual_size_come_back(tmp_path_factory, mean, sd):
     path.write_text(f"[targets.d_mm]\nmean = {mean!r}\nsd = {sd!r}\n")
     found = read_targets(path)
     assert (found.mean[0], found.sd[0]) == (mean, sd)
+
+
+def test_indices_over_ranges_that_break_an_ordering_say_so():
+    """Of edp 1 to 20 and esp 13 to 37, edp is above esp in a triangle of 7 by 7: 24.5 / (19 x 24) = 5.4 %."""
+    names = ["edp_mmhg", "esp_mmhg"]
+    space = make_box(names, [1.0, 13.0], [20.0, 37.0])
+    x = design(space, 30)
+    fitted = EmulatorSet(space.names, (fit_emulator(x, x[:, 1] - x[:, 0], "y", starts=1),))
+    found = inference.sensitivity(fitted, box=space, count=64, draws=0)
+    assert "of these ranges edp_mmhg is not below esp_mmhg" in found.warning
+    assert 1.0 - space.share_in_order() == pytest.approx(0.0537, abs=0.005)  # four standard errors of 2^15 points
+    assert found.outside >= 1.0 - space.share_in_order()
+    apart = make_box(names, [1.0, 21.0], [20.0, 37.0])
+    assert apart.share_in_order() == 1.0 and "ranges" not in inference.sensitivity(fitted, box=apart, count=64, draws=0).warning
