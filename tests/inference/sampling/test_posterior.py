@@ -218,6 +218,10 @@ def test_arviz_reads_the_file(tmp_path):
         data = arviz.from_netcdf(str(tmp_path / "p.nc"), engine="h5netcdf")
         assert set(data.posterior.data_vars) == {"x0", "x1"}
         assert data.posterior["x0"].shape == (4 * 8, 90)
+        for group in (data.posterior, data.sample_stats):
+            assert group["ensemble"].values.tolist() == np.repeat(np.arange(4), 8).tolist()
+        third = data.posterior["x0"].values[data.posterior["ensemble"].values == 2]
+        assert np.array_equal(third, chain.samples[10:, 2, :, 0].T)
         assert float(data.posterior["x1"].mean()) == pytest.approx(chain.flat()[:, 1].mean())
         data.close()
 
