@@ -15,6 +15,7 @@ from lacli.calibration.sequential.descent import levenberg, lowest
 from lacli.calibration.sequential.laplace import Laplace
 from lacli.calibration.sequential.outputs import Features
 from lacli.calibration.sequential.scale import Scale
+from lacli.calibration.sequential.verdict import verdict
 from lacli.calibration.simulator import asked, times_of
 from lacli.contracts.scene import build_scene
 from lacli.contracts.targets import Targets
@@ -211,3 +212,15 @@ def test_a_calibration_to_times_names_all_frames_of_a_scene_with_a_conduit() -> 
     assert framed.outputs.times == (0.2,) and not framed.outputs.conduit
     assert build_scene(framed.model_dump(mode="json", exclude_none=True), [], folder=Path("/"), where="again") == framed
     assert asked(given, ("esv_ml",)).outputs.conduit
+
+
+def test_the_refusal_is_of_the_run_whose_misfit_is_told() -> None:
+    """Row 1 is not the run that misses least (a cheap one does), but of the runs that count: its residuals are named."""
+    targets = Targets(("a_mm", "b_mm"), np.zeros(2), np.array([0.5, 2.0]))
+    residual = np.array([[5.0, 0.0], [1.0, 9.0]])
+    evidence = SimpleNamespace(targets=2, residual=residual, misfit=(residual**2).sum(1), z=np.array([[0.2], [0.8]]))
+    components = SimpleNamespace(
+        rotation=np.eye(2), z=evidence.z, predict=lambda z: (np.zeros((len(z), 2)), np.ones((len(z), 2)))
+    )  # fmt: skip
+    words = verdict(evidence, components, targets, 82.0, 1, 1)  # type: ignore[arg-type]
+    assert "chi^2 is 82 where 1 is expected" in words and "b_mm (+9.0 sd), a_mm (+1.0 sd)" in words

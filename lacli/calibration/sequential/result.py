@@ -128,7 +128,7 @@ def result_of(
     lengths = [name.partition("@")[0].endswith("_mm") for name in targets.names]
     rmse = float(np.sqrt(np.mean((nearest - targets.mean)[lengths] ** 2))) if any(lengths) else None
     freedom = max(1, len(targets.names) - box.d)
-    refused = verdict(evidence, whole, targets, misfit, freedom)
+    refused = verdict(evidence, whole, targets, misfit, freedom, row)
     notes = list(dict.fromkeys(search.notes))
     fidelity = _correcting(search, evidence, map_x)
     if fidelity is not None:

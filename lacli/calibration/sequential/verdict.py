@@ -13,8 +13,9 @@ _REJECTED = 1e-4  # of a chi-square in the targets less the inputs: a misfit as 
 _REACH, _SWEEP = 3.0, 1 << 12  # standard deviations within which a target is reached, somewhere of so many points
 
 
-def verdict(evidence: Evidence, components: Components, targets: Targets, misfit: float, freedom: int) -> str:
-    """Why the answer is none, in words; '' where it is one. ``components``: the emulator of all runs over the box."""
+def verdict(evidence: Evidence, components: Components, targets: Targets, misfit: float, freedom: int, best: int) -> str:
+    """Why the answer is none, in words; '' where it is one. ``components``: the emulator of all runs over the box; best: the row
+    of the run whose misfit it is."""
     if misfit <= float(chi2.isf(_REJECTED, freedom)):
         return ""
     off = f"chi^2 is {misfit:.0f} where {freedom} is expected"
@@ -29,7 +30,7 @@ def verdict(evidence: Evidence, components: Components, targets: Targets, misfit
             f"{off}: nowhere in the box does the model come within {_REACH:g} standard deviations of {names}. "
             "No parameter reaches these targets: check their units and standard deviations, or widen the box."
         )
-    told = (evidence.residual[int(np.argmin(evidence.misfit)), : evidence.targets] @ factor(targets).T) / targets.sd
+    told = (evidence.residual[best, : evidence.targets] @ factor(targets).T) / targets.sd
     worst = np.argsort(-np.abs(told))[:3]
     names = ", ".join(f"{targets.names[j]} ({told[j]:+.1f} sd)" for j in worst)
     return (
