@@ -62,6 +62,18 @@ def test_derivatives_in_a_table_are_no_inputs(tables, tmp_path):
     assert table_inputs(tmp_path / "t.csv", frame, Targets(("v_ml",), np.array([62.0]), np.array([0.6]))).names == ("a", "b", "c")
 
 
+def test_starts_that_do_nothing_are_told(tmp_path):
+    """Of a table with derivatives, whose fit has one start; without them they count."""
+    x = np.linspace(0.0, 1.0, 9)
+    pd.DataFrame({"a": x}).to_csv(tmp_path / "x.csv", index=False)
+    pd.DataFrame({"y": x**2, "dy/da": 2 * x}).to_csv(tmp_path / "y.csv", index=False)
+    words = ["emulate", "--inputs", str(tmp_path / "x.csv"), "--outputs", str(tmp_path / "y.csv"), "--no-figures"]
+    words += ["--out", str(tmp_path / "e.npz")]
+    for more, told in (([], False), (["--starts", "2"], True), (["--starts", "2", "--no-gradients"], False)):
+        result = CliRunner().invoke(build({"emulate"}), [*words, *more], catch_exceptions=False)
+        assert result.exit_code == 0 and ("--starts does nothing where a table has derivatives" in result.stderr) == told
+
+
 @pytest.fixture(scope="module")
 def emulated(tables):
     result = document(

@@ -8,11 +8,13 @@ from typing import Annotated
 import typer
 
 from lacli.api import inference
-from lacli.cli.terminal.console import out, print_json, print_table, stages
+from lacli.cli.terminal.console import err, out, print_json, print_table, stages
+from lacli.cli.terminal.modes import given
 from lacli.cli.terminal.tables import BoxFile, Inputs, Json, Linear, Names, Outputs, Seed, read
 
 
 def command(
+    ctx: typer.Context,
     inputs: Inputs = None,
     outputs: Outputs = None,
     names: Names = None,
@@ -39,6 +41,11 @@ def command(
     check_file(file, inputs, outputs, box_file, begins=b"PK")  # an .npz file is a ZIP archive
     earlier = file.exists()
     table = read(inputs, outputs, names)
+    learnt = gradients and table.gradients is not None
+    if learnt and given(ctx, "--starts"):
+        err.print(
+            "note: --starts does nothing where a table has derivatives: their fit has one start.", highlight=False, soft_wrap=True
+        )
     with stages() as show:
         box = box_of_inputs(table.inputs, box_file) if box_file else None
         made = inference.emulate(
@@ -59,7 +66,7 @@ def command(
                 "emulators": str(file),
                 "runs": table.runs,
                 "failed": len(table.failed_x),
-                "gradients": gradients and table.gradients is not None,
+                "gradients": learnt,
                 "notes": list(table.notes),
                 "outputs": {s.output: {"r2": s.r2, "ise": s.ise, "nlpd": s.nlpd, "train_cpu_s": s.train_cpu_s} for s in scores},
                 "pictures": [str(p) for p in pictures],
@@ -67,6 +74,6 @@ def command(
         )
         return
     rows = [[s.output, s.r2, s.ise, s.nlpd, s.train_cpu_s] for s in scores]
-    learnt = "runs with gradients" if gradients and table.gradients is not None else "runs"
-    print_table(f"{table.runs} {learnt}, {folds} folds", ["output", "R2", "within 2 sd", "NLPD", "CPU s"], rows)
+    kind = "runs with gradients" if learnt else "runs"
+    print_table(f"{table.runs} {kind}, {folds} folds", ["output", "R2", "within 2 sd", "NLPD", "CPU s"], rows)
     out.print(f"Emulators in {file}", highlight=False, soft_wrap=True)

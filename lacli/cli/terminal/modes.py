@@ -15,10 +15,15 @@ def refuse(ctx: typer.Context, mode: str, *names: str) -> None:
     mode: when they would do nothing, as it ends a sentence (``without --gated``); a switch is named by its first name. A dry
     run is no such mode: it is told of the very call that will be made. Raises UsageError, which names both.
     """
+    said = given(ctx, *names)
+    if said:
+        raise UsageError(f"{', '.join(said)} would do nothing {mode}; leave {'it' if len(said) == 1 else 'them'} out.")
+
+
+def given(ctx: typer.Context, *names: str) -> list[str]:
+    """Those of these options and arguments that the call gives, by the names by which it gives them."""
     known = {_names(parameter)[0]: parameter for parameter in ctx.command.params}
-    given = [_said(ctx, known[name]) for name in names if _is_given(ctx, known[name])]
-    if given:
-        raise UsageError(f"{', '.join(given)} would do nothing {mode}; leave {'it' if len(given) == 1 else 'them'} out.")
+    return [_said(ctx, known[name]) for name in names if _is_given(ctx, known[name])]
 
 
 def _names(parameter: Any) -> list[str]:
