@@ -188,6 +188,7 @@ def calibrate(
                 "calibrate: no point of the box agrees with all targets: at the nearest one, "
                 + ruled_out_by(wave, error.best[None])
                 + ". Check the targets' units and standard deviations, or widen the box."
+                + (f" {words}" if covered is not None and (words := covered.words()) else "")
             ) from error
         if number == 1:  # not sooner: targets or a box that leave nothing may be put right and tried again here
             write_identity(folder / FILE, identity)

@@ -12,7 +12,7 @@ import pytest
 import lacli
 from lacli.api import inference
 from lacli.api.posterior import ELSEWHERE, posterior
-from lacli.base.errors import UsageError
+from lacli.base.errors import LacliError, UsageError
 from lacli.calibration.calibration import Calibration, Settings
 from lacli.calibration.from_table import calibrate_table
 from lacli.contracts.tables.table import read_one
@@ -160,3 +160,9 @@ def test_a_table_that_tells_derivatives_is_learnt_with_them(tmp_path: Path) -> N
     assert isinstance(result.emulators, GradientEmulators)
     assert np.array_equal(result.emulators.predict(at)[0], own.predict(at)[0])
     assert np.sqrt(np.mean((result.emulators.predict(at)[0] - wavy(at)[0]) ** 2)) < 0.15
+
+
+def test_where_no_point_agrees_it_is_told_that_no_run_has_been_there(tmp_path: Path) -> None:
+    targets = goal(("y", "w"), np.array([500.0, 500.0]))
+    with pytest.raises(LacliError, match=r"no point of the box agrees with all targets.*70\.\d% of the box is where no run has"):
+        calibrated(tmp_path, table_of_a_part(), targets, WIDE)
