@@ -35,7 +35,8 @@ from lacli.inference.sampling.likelihood import ByFeature, Likelihood
 
 REGIONAL, GLOBAL, POOLED = "regional", "global", "pooled"
 STRONG = 3.0  # of the difference of log evidences: odds of 20 to 1
-_WORST_K = 0.7
+WORST_K = 0.7  # of Pareto: beyond it PSIS-LOO is of no worth
+EXTRAPOLATED = "its evidence is by extrapolation, do not rely on it"
 _PARTS = ("alpha", "c")
 
 
@@ -175,7 +176,7 @@ def _fit(model: Model, targets: Targets, particles: int, seed: int, tick: Callab
     said = []
     if words := _extrapolated(model, points):
         said.append(f"{model.name}: {words}")
-    if worst > _WORST_K:
+    if worst > WORST_K:
         said.append(
             f"{model.name}: PSIS-LOO is not to be trusted (Pareto k {worst:.2f} > .7): a target alone decides; take the evidence."
         )
@@ -193,7 +194,7 @@ def _extrapolated(model: Model, points: FloatArray) -> str:
     """
     found = coverage(model.box, model.emulators.training_inputs(), points)
     words = found.words("its posterior")
-    return f"its evidence is by extrapolation, do not rely on it: {words}" if found.share > TOO_MUCH else words
+    return f"{EXTRAPOLATED}: {words}" if found.share > TOO_MUCH else words
 
 
 def _likelihood(emulators: AnyEmulators | Features, targets: Targets) -> Likelihood:

@@ -11,5 +11,6 @@ TABLES = (
     PATIENTS, REGIONS, DRAWS, MODELS, FEATURES, WAVES, CONTRASTS, ANATOMIES, COURSES, FRAMES, DISCRETISATION, OUTPUTS, INFLUENCES,
     SCORES, CONVERGENCE, TRANSIENTS, MISFITS, WALLS,
 )  # fmt: skip
+STATE = ("status", "step", "reason", "cpu_s", "warnings")  # columns of the table of patients that are the study's own
 SLURM = "slurm"  # folder of what SLURM's jobs say
 OWN = (*TABLES, SUMMARY, SLURM)  # no participant can have such a name: the folder would stand where the study writes

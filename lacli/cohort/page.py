@@ -13,7 +13,7 @@ from lacli.cohort.analysis.demographics import HEAD, demographics
 from lacli.cohort.analysis.journal import MODEL_HEAD, PAIR_HEAD, SLOPE_HEAD, model_rows, pair_rows, slope_rows
 from lacli.cohort.analysis.observations import Observations, read_observations
 from lacli.cohort.analysis.statistics import Statistics, statistics
-from lacli.cohort.files import CONTRASTS, DRAWS, MODELS, PATIENTS, REGIONS, SUMMARY
+from lacli.cohort.files import CONTRASTS, DRAWS, MODELS, PATIENTS, REGIONS, STATE, SUMMARY
 from lacli.cohort.sections import (
     anatomies_section,
     cells,
@@ -36,7 +36,7 @@ _LONG = {"d_mm": "displacement at ES (mm)", "alpha": "stiffness alpha", "c": "st
 _DRAWN = "alpha"  # what a study's joint draws are of
 # of the published tables: what is asked of what
 _QUESTIONS = (("d_mm", ("thickness_mm", "fat_ml", "alpha")), ("alpha", ("thickness_mm", "fat_ml")))
-_OF_STUDY = ("participant_id", "status", "step", "reason", "cpu_s", "arm")  # columns that say nothing of a participant
+_OF_STUDY = ("participant_id", *STATE, "arm")  # columns that say nothing of a participant
 _KEPT = (anatomies_section, influences_section, transients_section, fits_section, emulators_section, numerics_section)
 
 
@@ -60,16 +60,23 @@ def _patients(study: Path, notes: list[str]) -> Section:
     frame = read_frame(study / PATIENTS)
     over = demographics(frame, _OF_STUDY)
     tables = [Table("Over the participants", HEAD, tuple(over))] if over else []
+    frame = frame.drop(columns="warnings", errors="ignore")  # which stand above, by patient
     tables.append(Table("Participants", tuple(map(str, frame.columns)), cells(frame)))
     return Section("patients", "Participants", tuple(map(str, notes)), tables=tuple(tables))
 
 
 def _models(study: Path, over: list[dict[str, object]]) -> Section:
     frame = read_frame(study / MODELS)
-    columns = ("participant_id", "name", "log_evidence", "log_evidence_se", "elpd", "elpd_se", "p_loo", "rmse_mm")
-    rows = cells(frame[list(columns)])
-    head = ("model", "patients", "RMSE mean, mm", "sd", "effective parameters", "sd", "elpd (PSIS-LOO), sum", "se")
-    keys = ("name", "patients", "rmse_mean_mm", "rmse_sd_mm", "p_loo_mean", "p_loo_sd", "elpd", "elpd_se")
+    columns = ("participant_id", "name", "log_evidence", "log_evidence_se", "elpd", "elpd_se", "worst_k", "p_loo", "rmse_mm")
+    rows = cells(frame.reindex(columns=list(columns)))
+    head = (
+        "model", "patients", "RMSE mean, mm", "sd", "effective parameters", "sd", "elpd (PSIS-LOO), sum", "se", "over patients",
+        "worst Pareto k", "elpd not to be trusted (k > .7 or no answer)",
+    )  # fmt: skip
+    keys = (
+        "name", "patients", "rmse_mean_mm", "rmse_sd_mm", "p_loo_mean", "p_loo_sd", "elpd", "elpd_se", "elpd_patients", "worst_k",
+        "elpd_not_trusted",
+    )  # fmt: skip
     total = tuple(tuple(number(m.get(k), 3) for k in keys) for m in over)
     tables = [Table("Models over the patients", head, total)]
     if contrasts := table(study / CONTRASTS, "Log evidence of a model less another's, summed over the patients"):

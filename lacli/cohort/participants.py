@@ -15,7 +15,7 @@ from lacli.base.documents import brief
 from lacli.base.errors import InputError, LacliError, TableError
 from lacli.base.notes import note
 from lacli.cohort.analysis.observations import check_identifier
-from lacli.cohort.files import OWN
+from lacli.cohort.files import OWN, STATE
 from lacli.contracts.labels import BODY_REGIONS
 from lacli.contracts.tables.absent import check_column
 from lacli.contracts.tables.columns import to_numbers
@@ -70,6 +70,8 @@ def read_participants(path: Path) -> list[Participant]:
             wrong.append(f"row {row}: {name} stands twice (as {other}); folders would be one")
             continue
         found.append(_participant(path.parent, name, cells, wrong))
+    if taken := [name for name in STATE if name in frame]:
+        wrong.append(f"the study writes {', '.join(taken)} of each participant itself; give your column another name")
     for column in frame.columns:
         if column not in (ID, *PATHS, *_NUMBERS):
             _check_own(str(column), frame[column], str(path), wrong)

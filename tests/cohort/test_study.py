@@ -260,7 +260,7 @@ def test_the_tables_hold_who_is_done_and_say_who_is_not(tmp_path: Path) -> None:
     assert titles[:3] == ["Participants", "Models", "Fits"]
     shown = [row for section in made.sections for table in section.tables for row in table.rows]
     assert ("age", "3", "61 ± 1", "60 to 62", "") in shown
-    assert ("regional", "2", "0.3", "0.141", "2", "0", "-8", "1.41") in shown
+    assert ("regional", "2", "0.3", "0.141", "2", "0", "-8", "1.41", "2", "-", "") in shown
     assert ("d_roof_mm", "2", "4", "0", "20") in shown and any("regional is strongly preferred" in row for row in shown)
     (home / SUMMARY).write_text("{}")
     with pytest.raises(InputError, match="not a study's summary"):

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lacli.base.documents import read_json
+from lacli.base.arrays import FloatArray
 from lacli.base.errors import AnatomyError, InputError
-from lacli.cohort.comparison import STRONG
+from lacli.cohort.comparison import EXTRAPOLATED, STRONG, WORST_K
 from lacli.cohort.patient import discretisation
 from lacli.contracts.features import family, parse
 from lacli.contracts.targets import Targets
@@ -180,28 +180,97 @@ def over_waves(results: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]
     return rows
 
 
-def over_contrasts(contrasts: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[dict[str, Any]]:
-    """By pair of models, over the patients: the sum of the differences of log evidence with its standard error, how many patients
-    prefer each strongly, and what the sum says. Patients are independent, so that log evidences add."""
+@dataclass(frozen=True)
+class Doubts:
+    """What a patient's calibrations and comparison warned of, in words; the models whose evidence, and whose elpd, is not to be
+    relied on."""
+
+    words: tuple[str, ...] = ()
+    evidence: frozenset[str] = frozenset()
+    elpd: frozenset[str] = frozenset()
+
+
+def doubts(calibrations: Mapping[str, Mapping[str, Any]], comparison: Mapping[str, Any]) -> Doubts:
+    """Of results by the model's name, "" that of all models which have no calibration of their own, and of their comparison."""
+    said: list[str] = []
+    names = [str(fit["name"]) for fit in comparison["fits"]]
+    evidence, elpd = set[str](), {str(fit["name"]) for fit in comparison["fits"] if (fit.get("worst_k") or 0.0) > WORST_K}
+    for model, result in calibrations.items():
+        verdict = result.get("verdict") or {}
+        words = [str(w) for w in (*(verdict.get("warnings") or ()), *(result.get("notes") or ()))]
+        if result.get("converged") is False:
+            words.insert(0, "The sampler did not converge.")
+        if verdict.get("plausible") is False:
+            evidence |= {name for name in names if (name if name in calibrations else "") == model}
+            words = words or ["The most probable point misses a target by more than the threshold: this is no answer."]
+        said += [f"{model}: {w}" if model else w for w in dict.fromkeys(words)]
+    warned = [str(w) for w in comparison.get("warnings") or ()]
+    evidence |= {name for name in names if any(w.startswith(f"{name}: {EXTRAPOLATED}") for w in warned)}
+    return Doubts((*said, *warned), frozenset(evidence), frozenset(elpd | evidence))
+
+
+def over_models(models: Sequence[Mapping[str, Any]], doubted: Mapping[str, Doubts]) -> list[dict[str, Any]]:
+    """Of each model over the patients: RMSE and effective number of parameters, mean and sd (None for one patient); the sum of
+    elpd with its standard error over those patients who have all models (``elpd_patients``), for sums of others are not to be
+    held against each other; the largest Pareto k of them, and whose elpd is not to be relied on."""
     rows = []
-    every = [c for of_patient in contrasts.values() for c in of_patient]
-    for pair in dict.fromkeys((str(c["model"]), str(c["against"])) for c in every):
-        mine = [c for c in every if (c["model"], c["against"]) == pair]
-        total = float(sum(c["difference"] for c in mine))
-        se = float(np.sqrt(sum(c["se"] ** 2 for c in mine)))
-        said = [str(c["verdict"]) for c in mine]
-        first, other = (sum(words == f"{name} is strongly preferred" for words in said) for name in pair)
-        verdict = "no contrast can be claimed"
-        if abs(total) >= STRONG + 2 * se:
-            verdict = f"{pair[0] if total > 0 else pair[1]} is strongly preferred"
-        rows.append({
-            "model": pair[0], "against": pair[1], "patients": len(mine), "log_evidence": total, "se": se,
-            "prefer_model": first, "prefer_against": other, "verdict": verdict,
-        })  # fmt: skip
+    told = [m for m in models if m.get("elpd") is not None and m.get("elpd_se") is not None]
+    have: dict[str, set[str]] = {}
+    for m in told:
+        have.setdefault(m["participant_id"], set()).add(m["name"])
+    common = [patient for patient, of in have.items() if of == {m["name"] for m in told}]
+    for name in dict.fromkeys(m["name"] for m in models):
+        mine = [m for m in models if m["name"] == name]
+        values = np.array([m["rmse_mm"] for m in mine if m["rmse_mm"] is not None])
+        if not len(values):
+            continue
+        rmse, sd = _mean_sd(values)
+        row: dict[str, Any] = {"name": name, "patients": len(values), "rmse_mean_mm": rmse, "rmse_sd_mm": sd}
+        if all(m.get("p_loo") is not None for m in mine):
+            row["p_loo_mean"], row["p_loo_sd"] = _mean_sd(np.array([m["p_loo"] for m in mine]))
+        if summed := [m for m in mine if m["participant_id"] in common]:
+            row["elpd"] = float(sum(m["elpd"] for m in summed))
+            row["elpd_se"] = float(np.sqrt(sum(m["elpd_se"] ** 2 for m in summed)))
+            row["elpd_patients"] = len(summed)
+            row["worst_k"] = max((m["worst_k"] for m in summed if m.get("worst_k") is not None), default=None)
+            row["elpd_not_trusted"] = _not_trusted(common, {p: d.elpd for p, d in doubted.items()}, {name})
+        rows.append(row)
     return rows
 
 
-def read_contrasts(folder: Path) -> list[dict[str, Any]]:
-    """The contrasts of a patient's comparison."""
-    found = read_json(folder / "comparison.json").get("contrasts") or []
-    return list(found)
+def _mean_sd(values: FloatArray) -> tuple[float, float | None]:
+    return float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else None
+
+
+def _not_trusted(patients: Iterable[str], doubted: Mapping[str, Collection[str]], models: Collection[str]) -> str:
+    """Those of the patients of whom one of the models is doubted, in words; '' where none is."""
+    return ", ".join(patient for patient in patients if any(name in doubted.get(patient, ()) for name in models))
+
+
+def over_contrasts(
+    contrasts: Mapping[str, Sequence[Mapping[str, Any]]], doubted: Mapping[str, Doubts] | None = None
+) -> list[dict[str, Any]]:
+    """By pair of models, over the patients: the sum of the differences of log evidence with its standard error, how many patients
+    prefer each strongly, whose evidence is not to be relied on, and what the sum says: nothing while it holds such.
+
+    Patients are independent, so that log evidences add.
+    """
+    rows = []
+    beyond = {patient: of.evidence for patient, of in (doubted or {}).items()}
+    every = [(patient, c) for patient, of_patient in contrasts.items() for c in of_patient]
+    for pair in dict.fromkeys((str(c["model"]), str(c["against"])) for _, c in every):
+        mine = {patient: c for patient, c in every if (c["model"], c["against"]) == pair}
+        total = float(sum(c["difference"] for c in mine.values()))
+        se = float(np.sqrt(sum(c["se"] ** 2 for c in mine.values())))
+        said = [str(c["verdict"]) for patient, c in mine.items() if not set(pair) & set(beyond.get(patient, ()))]
+        first, other = (sum(words == f"{name} is strongly preferred" for words in said) for name in pair)
+        verdict, whose = "no contrast can be claimed", _not_trusted(mine, beyond, pair)
+        if whose:
+            verdict += f": the evidence of {whose} is not to be relied on"
+        elif abs(total) >= STRONG + 2 * se:
+            verdict = f"{pair[0] if total > 0 else pair[1]} is strongly preferred"
+        rows.append({
+            "model": pair[0], "against": pair[1], "patients": len(mine), "log_evidence": total, "se": se,
+            "prefer_model": first, "prefer_against": other, "not_trusted": whose, "verdict": verdict,
+        })  # fmt: skip
+    return rows

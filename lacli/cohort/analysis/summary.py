@@ -11,22 +11,23 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from lacli.base.arrays import FloatArray
 from lacli.base.documents import read_json
 from lacli.base.errors import InputError, UsageError
 from lacli.base.files import replacing, write_json
 from lacli.cohort.analysis.convergence import convergence
 from lacli.cohort.analysis.fits import (
     Anatomy,
+    Doubts,
     courses,
+    doubts,
     over_contrasts,
     over_features,
     over_frames,
+    over_models,
     over_numerics,
     over_outputs,
     over_waves,
     read_anatomy,
-    read_contrasts,
     scores,
 )
 from lacli.cohort.analysis.influences import influences
@@ -67,10 +68,11 @@ Rows = list[dict[str, Any]]
 @dataclass(frozen=True)
 class _Patient:
     """What one patient's folder has for the study's tables: the calibration's result, its targets where errors are told in two
-    parts, and rows."""
+    parts, what is to be doubted, and rows."""
 
     result: dict[str, Any]
     given: Targets | None
+    doubts: Doubts
     contrasts: Rows
     anatomies: Rows
     convergence: Rows
@@ -104,8 +106,12 @@ def write_summary(
     found = tuple(state.values())
     table, partial = _complete([row for of in read.values() for row in of.regions])
     said = [*notes, *([f"regions.csv lacks {', '.join(partial)}: not every patient has them."] if partial else [])]
-    people = [_person(p, state[p.identifier], study) for p in participants if p.identifier in state]
-    models = [row for of in read.values() for row in of.models]
+    said += [f"{name}: {' '.join(of.doubts.words)}" for name, of in read.items() if of.doubts.words]
+    people = [
+        _person(p, state[p.identifier], study, read[p.identifier].doubts if p.identifier in read else Doubts())
+        for p in participants if p.identifier in state
+    ]  # fmt: skip
+    models = over_models([row for of in read.values() for row in of.models], {name: of.doubts for name, of in read.items()})
     for name, frame in {PATIENTS: pd.DataFrame(people), REGIONS: table, **_tables(read)}.items():
         if frame.empty:
             (study / name).unlink(missing_ok=True)  # an earlier call's would show another result
@@ -113,8 +119,8 @@ def write_summary(
         with replacing(study / name) as temporary:
             frame.to_csv(temporary, index=False)
     summary = {
-        "patients": len(people), "done": len(read), "failed": [o.participant_id for o in found if o.status == "failed"],
-        "models": _over_patients(models), "notes": said,
+        "patients": len(participants), "done": len(read), "failed": [o.participant_id for o in found if o.status == "failed"],
+        "models": models, "notes": said,
     }  # fmt: skip
     write_json(study / SUMMARY, summary)
     return found, summary
@@ -123,7 +129,7 @@ def write_summary(
 def _read(study: Path, patient: Participant) -> _Patient:
     """Raises InputError, UsageError where something of it is missing or damaged."""
     name, folder = patient.identifier, study / patient.identifier
-    result = read_json(folder / "calibration" / "result.json")
+    result, comparison = read_json(folder / "calibration" / "result.json"), read_json(folder / "comparison.json")
     in_two = any(row.get("own_sd") for row in result["fit"])
     anatomy = read_anatomy(patient.paths.get("bundle", folder / "anatomy"), name)
     fat = _fat(folder)
@@ -132,7 +138,8 @@ def _read(study: Path, patient: Participant) -> _Patient:
     return _Patient(
         result,
         read_targets(patient.paths.get("targets", folder / "motion" / "targets.toml")) if in_two else None,
-        read_contrasts(folder),
+        doubts({"": result, **_other_calibrations(folder, comparison)}, comparison),
+        list(comparison.get("contrasts") or []),
         [] if anatomy is None else [_of_anatomy(patient, anatomy, fat, study)],
         [] if anatomy is None else convergence(name, anatomy.bundle, result),
         own,
@@ -142,8 +149,14 @@ def _read(study: Path, patient: Participant) -> _Patient:
         influences(name, folder / "calibration", result),
         _regions(patient, result, {} if anatomy is None else anatomy.laplace_mm, fat.get("standard", {})),
         _draws(patient, folder),
-        [{"participant_id": name, **fit} for fit in read_json(folder / "comparison.json")["fits"]],
+        [{"participant_id": name, **fit} for fit in comparison["fits"]],
     )
+
+
+def _other_calibrations(folder: Path, comparison: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Results by the model's name of those models that have a calibration of their own: on another anatomy."""
+    files = {str(fit["name"]): folder / f"calibration_{fit['name']}" / "result.json" for fit in comparison["fits"]}
+    return {name: read_json(file) for name, file in files.items() if file.is_file()}
 
 
 def _tables(read: Mapping[str, _Patient]) -> dict[str, pd.DataFrame]:
@@ -156,7 +169,10 @@ def _tables(read: Mapping[str, _Patient]) -> dict[str, pd.DataFrame]:
     given = {name: of.given for name, of in read.items() if of.given is not None}
     found = {
         DRAWS: rows("draws"), MODELS: rows("models"), FEATURES: over_features(results), WAVES: over_waves(results),
-        CONTRASTS: over_contrasts({name: of.contrasts for name, of in read.items()}), ANATOMIES: rows("anatomies"),
+        CONTRASTS: over_contrasts(
+            {name: of.contrasts for name, of in read.items()}, {name: of.doubts for name, of in read.items()}
+        ),
+        ANATOMIES: rows("anatomies"),
         COURSES: rows("courses"), FRAMES: over_frames(rows("courses")), DISCRETISATION: over_numerics(results, given),
         OUTPUTS: over_outputs(rows("scores")), SCORES: rows("scores"), TRANSIENTS: rows("transients"),
         MISFITS: over_transients(rows("transients")), WALLS: rows("walls"), CONVERGENCE: rows("convergence"),
@@ -172,14 +188,14 @@ def _complete(regions: Rows) -> tuple[pd.DataFrame, list[str]]:
     return table.drop(columns=partial), partial
 
 
-def _person(patient: Participant, outcome: Outcome, study: Path) -> dict[str, Any]:
+def _person(patient: Participant, outcome: Outcome, study: Path, doubted: Doubts) -> dict[str, Any]:
     """A participant's row."""
     tracked: dict[str, Any] = {}
     with contextlib.suppress(InputError):  # of one who failed; of others it has been read
         tracked = _tracked(study / patient.identifier)
     return {
         "participant_id": patient.identifier, "status": outcome.status, "step": outcome.step, "reason": outcome.reason,
-        "cpu_s": sum(outcome.cpu_s.values()), **tracked, **patient.others,
+        "cpu_s": sum(outcome.cpu_s.values()), "warnings": " ".join(doubted.words), **tracked, **patient.others,
     }  # fmt: skip
 
 
@@ -203,29 +219,6 @@ def _cpu_s(table: Path) -> list[float]:
         return []
     seconds = pd.to_numeric(frame["cpu_s"], errors="coerce").to_numpy(float)
     return list(map(float, seconds[np.isfinite(seconds)]))
-
-
-def _over_patients(models: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Of each model over the patients: RMSE and effective number of parameters, mean and sd (null for one patient), and the
-    sum of elpd with its standard error."""
-    rows = []
-    for name in dict.fromkeys(m["name"] for m in models):
-        mine = [m for m in models if m["name"] == name]
-        values = np.array([m["rmse_mm"] for m in mine if m["rmse_mm"] is not None])
-        if not len(values):
-            continue
-        rmse, sd = _mean_sd(values)
-        row: dict[str, Any] = {"name": name, "patients": len(values), "rmse_mean_mm": rmse, "rmse_sd_mm": sd}
-        if all(m.get(key) is not None for m in mine for key in ("p_loo", "elpd", "elpd_se")):
-            row["p_loo_mean"], row["p_loo_sd"] = _mean_sd(np.array([m["p_loo"] for m in mine]))
-            row["elpd"] = float(sum(m["elpd"] for m in mine))
-            row["elpd_se"] = float(np.sqrt(sum(m["elpd_se"] ** 2 for m in mine)))
-        rows.append(row)
-    return rows
-
-
-def _mean_sd(values: FloatArray) -> tuple[float, float | None]:
-    return float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else None
 
 
 def _tracked(folder: Path) -> dict[str, Any]:
