@@ -84,7 +84,8 @@ def structural_slope(w: FloatArray, y: FloatArray, s: FloatArray, t: FloatArray,
     low, high = (_limit(excess, beta, at, sign) for sign in (-1.0, 1.0))
     ratio = max(model.profile(0.0, at)[0] - best, 0.0)
     tau, omega, sigma_b, sigma_e = np.sqrt(np.where(at > math.log(_FLOOR) + 0.5, np.exp(at), 0.0))
-    error = float(np.mean(np.trace(s, axis1=1, axis2=2) / regions)) / scale_w**2
+    # what all regions of a patient err by together makes none of the differences between them
+    error = float(np.mean(np.trace(s, axis1=1, axis2=2) - s.sum(axis=(1, 2)) / regions)) / (regions - 1) / scale_w**2
     unit = scale_y / scale_w
     p = float(f_distribution.sf(_f_of_ratio(ratio, df), 1, df))
     return Slope(

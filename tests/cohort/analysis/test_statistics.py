@@ -105,6 +105,19 @@ def test_the_structural_slope_undoes_attenuation_where_there_is_much_data() -> N
     assert found.tau == pytest.approx(0.6, abs=0.1)
 
 
+def test_what_a_patient_s_regions_err_by_together_takes_no_reliability() -> None:
+    # S = .04 I + 4 1 1': of differences between regions the error's variance is .04 ((tr S - 1'S1 / 5) / 4), not 4.04; that of
+    # the truth about .64, so that about .64 / .68 is no error; 4.04 in its place would leave .14 and a false alarm
+    x, y = cohort(4, 0.5, patients=60)
+    s = np.tile(0.04 * np.eye(5) + 4.0, (60, 1, 1))
+    rng = np.random.default_rng(0)
+    w = x + rng.normal(0, 0.2, x.shape) + rng.normal(0, 2.0, (60, 1))
+    found = structural_slope(w, y, s, np.zeros((60, 5, 5)))
+    assert found.reliability == pytest.approx(found.omega**2 / (found.omega**2 + 0.04), rel=1e-9)
+    told = statistics(observed({"alpha": s}, alpha=w, y=y), "y", ["alpha"])
+    assert not any("hardly known" in words for words in told.warnings)
+
+
 def test_the_likelihood_ratio_of_f_is_that_of_a_regression() -> None:
     # y = 2 x + e over 9 rows without intercept, beta fixed at 1.7: RSS by hand, 9 = df + 1 contrasts
     x = np.arange(1.0, 10.0)
