@@ -145,8 +145,8 @@ class _Simulated:
         if tables[_RUNS] is None or not kept:
             return cls((), None)
         design = tables[_RUNS] if tables[_CHEAP] is None else tables[_CHEAP]
-        first = [f for f in (_transients(row, inputs, kept) for row in _records(design)[: _first(result)]) if f is not None]
-        rows = _records(tables[_RUNS])
+        first = [f for f in (_transients(row, inputs, kept) for row in _first(_records(design), result)) if f is not None]
+        rows = _finished(_records(tables[_RUNS]))
         best = [row.get("map") for row in result["posterior"]]
         if not rows or any(value is None for value in best):
             return cls(first, None)
@@ -172,22 +172,27 @@ def _value(frame: pd.DataFrame, key: str, time: float) -> float | None:
 
 
 def _table(file: Path, inputs: Sequence[str]) -> pd.DataFrame | None:
-    """Inputs and CPU seconds of the finished runs of a calibration's table, in their order; None where it tells no inputs."""
+    """Inputs, state and CPU seconds of the runs of a calibration's table, in their order; None where it tells no inputs."""
     frame = read_frame(file) if file.is_file() else None
     if frame is None or "status" not in frame or not set(inputs) <= set(frame.columns):
         return None
-    return frame.loc[frame["status"] == "done", [*inputs, *(name for name in ("cpu_s",) if name in frame)]]
+    return frame[[*inputs, "status", *(name for name in ("cpu_s",) if name in frame)]]
 
 
 def _records(frame: pd.DataFrame | None) -> list[dict[str, Any]]:
     return [] if frame is None else [{str(k): v for k, v in row.items()} for row in frame.to_dict("records")]
 
 
-def _first(result: Mapping[str, Any]) -> int:
-    """How many finished runs the calibration began with: its first wave, or what its search set out from."""
+def _finished(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [row for row in rows if row["status"] == "done"]
+
+
+def _first(rows: Sequence[dict[str, Any]], result: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The finished ones of the runs that the calibration began with: its first wave, or what its search set out from."""
     if waves := result.get("waves"):
-        return int(waves[0]["runs"])
-    return int(next(iter((result.get("runs_by_stage") or {}).values()), 0))
+        return _finished(rows)[: int(waves[0]["runs"])]
+    # the search counts its failed runs too
+    return _finished(rows[: int(next(iter((result.get("runs_by_stage") or {}).values()), 0))])
 
 
 def _stored(store: Path, inputs: Sequence[str]) -> dict[tuple[float, ...], list[Path]]:
