@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -69,9 +70,17 @@ def rows(found: ThicknessStudy | LaplaceStudy) -> tuple[list[dict[str, Any]], di
     from lacli.cohort.studies.laplace import LaplaceStudy
 
     if isinstance(found, LaplaceStudy):
-        table = [{**asdict(row), "ratio": row.ratio, "fails": row.fails} for row in found.regions]
+        table = [
+            {**asdict(row), "ratio": row.ratio, "fails": row.fails, "compared": row.region not in found.left_out}
+            for row in found.regions
+        ]
         return table, {"correlation": found.correlation, "slope": found.slope, "pressure_kpa": found.pressure_kpa}
     return [asdict(shell) for shell in found.shells], {"slope": found.slope, "slope_on_springs": found.slope_on_springs}
+
+
+def notes(found: ThicknessStudy | LaplaceStudy) -> list[str]:
+    """What must be said of a study's numbers."""
+    return list(getattr(found, "notes", ()))
 
 
 def _write(found: ThicknessStudy | LaplaceStudy, out: Path, question: str) -> None:
@@ -85,9 +94,11 @@ def _write(found: ThicknessStudy | LaplaceStudy, out: Path, question: str) -> No
     out.mkdir(parents=True, exist_ok=True)
     with replacing(out / f"{question}.csv") as temporary:
         pd.DataFrame(table).to_csv(temporary, index=False)
-    write_json(out / f"{question}.json", {**numbers, "rows": table})
+    known = {name: value if math.isfinite(value) else None for name, value in numbers.items()}
+    write_json(out / f"{question}.json", {**known, "notes": notes(found), "rows": table})
     files = [out / f"{question}.{suffix}" for suffix in _FORMATS]
     if isinstance(found, LaplaceStudy):
-        study_figures.laplace_figure({r.region: (r.laplace_kpa, r.stress_kpa) for r in found.regions}, found.slope, files)
+        stresses = {r.region: (r.laplace_kpa, r.stress_kpa) for r in found.regions}
+        study_figures.laplace_figure(stresses, found.slope, files, found.left_out)
     else:
         study_figures.thickness_figure(table, files)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from lacli.report.cohort_figures import save_all
 from lacli.report.style import paper
 
 _OTHER = "#555555"
+_FAR = 2.0  # of the largest stress compared: a region that is not compared and beyond it would press the others together
 
 
 def thickness_figure(shells: Sequence[Mapping[str, Any]], files: Sequence[Path]) -> None:
@@ -44,17 +46,30 @@ def thickness_figure(shells: Sequence[Mapping[str, Any]], files: Sequence[Path])
         save_all(figure, files)
 
 
-def laplace_figure(stresses: Mapping[str, tuple[float, float]], slope: float, files: Sequence[Path]) -> None:
-    """The run's stress against the law's, kPa, a marker a region, with the line of identity and the slope through nought."""
+def laplace_figure(
+    stresses: Mapping[str, tuple[float, float]], slope: float, files: Sequence[Path], left_out: Collection[str] = ()
+) -> None:
+    """The run's stress against the law's, kPa, a marker a region, with the line of identity and the slope through nought (NaN:
+    none). left_out: regions that the slope is not of: hollow, or, where the law is far beyond the others, named alone."""
     with paper():
         import matplotlib.pyplot as plt
 
         figure, axis = plt.subplots(figsize=(3.5, 3.0))
-        most = 1.1 * max(value for pair in stresses.values() for value in pair)
-        axis.plot([0, most], [0, most], color="0.6", linewidth=0.8, label="the law")
-        axis.plot([0, most], [0, slope * most], "--", color="0.3", linewidth=0.8, label=f"slope {slope:.2g}")
-        for region, (law, run) in stresses.items():
-            axis.plot(law, run, "o", color=REGION_COLOURS.get(region, _OTHER), markersize=5, label=region)
-        axis.set(xlabel="law of Laplace (kPa)", ylabel="wall stress along less across (kPa)", xlim=(0, most), ylim=(0, most))
+        kept = [value for region, pair in stresses.items() if region not in left_out for value in pair]
+        far = _FAR * max(map(abs, kept or [run for _, run in stresses.values()]))
+        shown = {region: pair for region, pair in stresses.items() if region not in left_out or max(map(abs, pair)) <= far}
+        values = [0.0, *(value for pair in shown.values() for value in pair)]
+        margin = 0.1 * (max(values) - min(values)) or 1.0
+        low, most = min(values) - margin * (min(values) < 0), max(values) + margin
+        axis.plot([low, most], [low, most], color="0.6", linewidth=0.8, label="the law")
+        if math.isfinite(slope):
+            axis.plot([low, most], [slope * low, slope * most], "--", color="0.3", linewidth=0.8, label=f"slope {slope:.2g}")
+        for region in stresses:
+            colour = REGION_COLOURS.get(region, _OTHER)
+            law, run = shown.get(region, (math.nan, math.nan))
+            name = region if region not in left_out else f"{region}: flat or concave" + ("" if region in shown else ", not shown")
+            face = "white" if region in left_out else colour
+            axis.plot(law, run, "o", color=colour, markerfacecolor=face, markersize=5, label=name)
+        axis.set(xlabel="law of Laplace (kPa)", ylabel="wall stress along less across (kPa)", xlim=(low, most), ylim=(low, most))
         axis.legend(fontsize=7, ncols=2)
         save_all(figure, files)

@@ -45,6 +45,19 @@ def test_each_region_s_stress_is_a_marker_in_its_colour(tmp_path: Path, drawn: l
     assert axis.get_xlabel().endswith("(kPa)") and axis.get_ylabel().endswith("(kPa)")
 
 
+def test_the_axes_hold_every_stress_that_is_shown(tmp_path: Path, drawn: list[Figure]) -> None:
+    stresses = {"roof": (10.0, -2.0), "septum": (6.0, 7.0), "lateral": (-12.0, 5.0), "anterior": (9e4, 5.0)}
+    laplace_figure(stresses, float("nan"), [tmp_path / "l.png"], ("lateral", "anterior"))
+    axis = drawn[0].axes[0]
+    marks = {str(line.get_label()): line for line in axis.lines if line.get_marker() == "o"}
+    assert marks["lateral: flat or concave"].get_xdata()[0] == -12.0
+    assert to_hex(marks["lateral: flat or concave"].get_markerfacecolor()) == "#ffffff"
+    assert np.isnan(marks["anterior: flat or concave, not shown"].get_xdata()[0])
+    low, high = axis.get_xlim()
+    assert low < -12.0 and 10.0 < high < 30.0 and axis.get_ylim() == (low, high)
+    assert not any("slope" in str(line.get_label()) for line in axis.lines)
+
+
 @pytest.mark.parametrize(
     ("question", "run", "words"),
     [

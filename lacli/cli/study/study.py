@@ -9,7 +9,7 @@ import typer
 
 from lacli.api import questions
 from lacli.cli.terminal.console import one_bar, out, print_json, print_table
-from lacli.cli.terminal.tables import Json
+from lacli.cli.terminal.tables import Json, warn
 
 
 def command(
@@ -36,9 +36,11 @@ def command(
     """
     with one_bar(question) as show:
         found = questions.study(question, run, thicknesses_mm=thickness_mm, out=folder, progress=show)
-    table, numbers = questions.rows(found)
+    (table, numbers), said = questions.rows(found), questions.notes(found)
+    for words in said:
+        warn(words)
     if as_json:
-        print_json({**numbers, "rows": table})
+        print_json({**numbers, "notes": said, "rows": table})
         return
     print_table(
         question, list(table[0]), [["yes" if v is True else "no" if v is False else v for v in r.values()] for r in table]

@@ -3,12 +3,16 @@
 A closed membrane of mean curvature H under a pressure p carries sigma = p / (2 t H) along itself, t its thickness. Of the run,
 the stress is the material's at the deformation from the unloaded wall. Its volumetric part is a multiplier that displacements do
 not tell; so what is compared is the stress along the wall less that across it, which is free of that part: (tr - 3 n.n) / 2 of
-Cauchy's, n the direction across. Across, a wall between p and nothing carries -p / 2 in the mean, so that the membrane's is
-p / (2 t H) + p / 2. Springs and neighbours that bear on the wall are not in the law; nor is bending, nor unequal curvatures.
+Cauchy's, n the direction across. H is the endocardium's: a sphere of inner radius a and outer b, cut in two, holds pi a^2 p by
+pi (b^2 - a^2) of wall, along which the mean is p a^2 / (b^2 - a^2) = p a / (2 t) - p / 4 to first order in t / a. Across, a wall
+between p and nothing carries -p / 2 in the mean, so that the law's difference is p / (2 t H) + p / 4. Springs and neighbours that
+bear on the wall are not in the law; nor is bending, nor unequal curvatures. Where the wall is flat or bulges inwards there is no
+such membrane: those regions are shown, and are in neither correlation nor slope.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,6 +38,9 @@ from lacli.motion.annulus import asked_motion
 from lacli.verification.runs import respond
 
 _FAILS = 1.5  # a ratio beyond it, or below its inverse: there the law fails
+_FLAT = 0.2  # of the convex regions' median curvature: with less a region's radius is no atrium's
+_PLANE = 1e-9  # 1/mm: a curvature of nought has no radius
+_LEAST = 3  # regions that are compared
 
 
 @dataclass(frozen=True)
@@ -59,12 +66,22 @@ class Region:
 
 @dataclass(frozen=True)
 class LaplaceStudy:
-    """Regions; correlation and slope (through nought) of the run's stress with the law's; pressure, kPa."""
+    """Regions; correlation and slope (through nought) of the run's stress with the law's over those that bulge outwards (NaN of
+    fewer than 3); pressure, kPa; left_out: the regions that are flat or concave."""
 
     regions: tuple[Region, ...]
     correlation: float
     slope: float
     pressure_kpa: float
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What correlation and slope leave out, in words."""
+        said = [f"{', '.join(self.left_out)}: flat or concave; in neither correlation nor slope."] if self.left_out else []
+        if (count := len(self.regions) - len(self.left_out)) < _LEAST:
+            said.append(f"{count} regions bulge outwards; correlation and slope are of at least {_LEAST}.")
+        return tuple(said)
 
 
 def of_run(run: Path) -> LaplaceStudy:
@@ -131,8 +148,8 @@ def by_law(deformed: Bundle, thickness: Mapping[str, float], pressure: float) ->
         if name not in BODY_REGIONS or not (owner == REGIONS[name]).any():
             continue
         # normals point out of the wall, into the cavity
-        curvature = mean_curvature(deformed.points, inner[:, ::-1], owner == REGIONS[name])
-        found[name] = (pressure / (2 * t) / curvature + pressure / 2, t, 1 / curvature)
+        curvature = mean_curvature(deformed.points, inner[:, ::-1], owner == REGIONS[name]) or _PLANE
+        found[name] = (pressure / (2 * t) / curvature + pressure / 4, t, 1 / curvature)
     return found
 
 
@@ -160,7 +177,14 @@ def mean_curvature(points: FloatArray, triangles: IntArray, inside: np.ndarray) 
 def compared(stress: Mapping[str, float], law: Mapping[str, tuple[float, float, float]], pressure: float) -> LaplaceStudy:
     """Both by region, and how they go together."""
     rows = tuple(Region(name, stress[name], *law[name]) for name in stress if name in law)
-    if len(rows) < 3:
-        raise InputError(f"{len(rows)} regions have both stresses; at least 3 are compared.")
-    a, b = (np.array([getattr(row, key) for row in rows]) for key in ("laplace_kpa", "stress_kpa"))
-    return LaplaceStudy(rows, float(np.corrcoef(a, b)[0, 1]), float(a @ b / (a @ a)), pressure)
+    if len(rows) < _LEAST:
+        raise InputError(f"{len(rows)} regions have both stresses; at least {_LEAST} are compared.")
+    curvature = np.array([1 / row.radius_mm for row in rows])
+    convex = curvature > 0
+    bulges = convex & (curvature > _FLAT * float(np.median(curvature[convex]) if convex.any() else 0.0))
+    left_out = tuple(row.region for row, good in zip(rows, bulges, strict=True) if not good)
+    correlation = slope = math.nan
+    if bulges.sum() >= _LEAST:
+        a, b = (np.array([getattr(row, key) for row in rows])[bulges] for key in ("laplace_kpa", "stress_kpa"))
+        correlation, slope = float(np.corrcoef(a, b)[0, 1]), float(a @ b / (a @ a))
+    return LaplaceStudy(rows, correlation, slope, pressure, left_out)
