@@ -12,7 +12,6 @@ from lacli.base.files import replacing, write_json, write_text
 from lacli.cohort.analysis.statistics import Statistics
 
 FILES = ("pairs.csv", "models.csv", "statistics.json", "tables.md", "tables.tex")
-_PLAIN = "MixedLM"
 _STARS = "* p < .05, ** < .01, *** < .001, Bonferroni"
 
 
@@ -43,7 +42,8 @@ def models(found: Statistics) -> list[dict[str, Any]]:
     for a in found.associations:
         head = {"response": a.response, "predictor": a.predictor}
         for c in a.plain.coefficients:
-            row = {"method": _PLAIN, "term": c.term, "estimate": c.estimate, "se": c.se, "statistic": c.statistic, "df": math.nan}
+            row = {"method": a.plain.method, "term": c.term, "estimate": c.estimate, "se": c.se, "statistic": c.statistic}
+            row["df"] = c.df if math.isfinite(c.df) else math.nan
             rows.append({**head, **row, "p": c.p, "low95": c.low, "high95": c.high, "intercept_sd": a.plain.intercept_sd})
         rows += [
             {**head, "method": c.method, "term": a.predictor, "estimate": c.estimate, "df": c.df, "p": c.p, "low95": c.low,
@@ -74,13 +74,13 @@ def slope_rows(found: Statistics) -> list[list[str]]:
     rows = []
     for a in found.associations:
         c = a.plain.of(a.predictor)
-        rows.append([a.predictor, _PLAIN, f"{c.estimate:.3g}", f"{c.low:.3g} to {c.high:.3g}", p_words(c.p)])
+        rows.append([a.predictor, a.plain.method, f"{c.estimate:.3g}", f"{c.low:.3g} to {c.high:.3g}", p_words(c.p)])
         rows += [[a.predictor, k.method, f"{k.estimate:.3g}", f"{k.low:.3g} to {k.high:.3g}", p_words(k.p)] for k in a.carried]
     return rows
 
 
 def model_rows(found: Statistics) -> list[list[str]]:
-    """Every coefficient of the plain mixed models: estimate, se, z, p, interval; and the random intercept's variance."""
+    """Every coefficient of the plain mixed models: estimate, se, z (t of least squares), p, interval; intercepts' variance."""
     rows = []
     for a in found.associations:
         for c in a.plain.coefficients:
@@ -90,7 +90,7 @@ def model_rows(found: Statistics) -> list[list[str]]:
     return rows
 
 
-MODEL_HEAD = ("predictor", "term", "estimate", "se", "z", "p", "95 % interval")
+MODEL_HEAD = ("predictor", "term", "estimate", "se", "z or t", "p", "95 % interval")
 PAIR_HEAD = ("pair", "difference ± sd", "t (df)", "p", "Bonferroni", "Holm")
 SLOPE_HEAD = ("predictor", "method", "slope", "95 % interval", "p")
 

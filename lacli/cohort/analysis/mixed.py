@@ -1,6 +1,7 @@
 """Mixed models with a random intercept a patient: as published, and with a posterior's error carried.
 
-``published`` is statsmodels' MixedLM, response ~ C(region) + x, REML, Wald's z. ``known_error`` is the same model where the
+``published`` is statsmodels' MixedLM, response ~ C(region) + x, REML, Wald's z; if the random intercept's variance is none, its
+standard errors are of a curvature at an edge, and least squares take its place. ``known_error`` is the same model where the
 response's posterior covariance is added to its variance, so that the residual is only what the posteriors leave; its test is
 Student's t with degrees of freedom by containment. ``rubin`` fits many joint draws of the response and combines them (Rubin,
 Multiple Imputation, 1987; degrees of freedom of Barnard and Rubin, 1999). Its draws know nothing of the regression, so that
@@ -21,6 +22,7 @@ from lacli.base.arrays import FloatArray
 from lacli.cohort.analysis.observations import Observations
 
 DRAWS = 50
+MIXED, SQUARES, OTHER_REML = "MixedLM", "least squares (MixedLM is singular)", "REML (MixedLM did not converge)"
 _NO_SPREAD = 1e-6
 
 
@@ -40,12 +42,13 @@ class Coefficient:
 
 @dataclass(frozen=True)
 class MixedFit:
-    """Coefficients, standard deviations of the random intercept and the residual, and what must be said of the fit."""
+    """Coefficients, standard deviations of the random intercept and the residual, what must be said of the fit, its method."""
 
     coefficients: tuple[Coefficient, ...]
     intercept_sd: float
     residual_sd: float
     notes: tuple[str, ...]
+    method: str = MIXED
 
     def of(self, term: str) -> Coefficient:
         """The coefficient of a term."""
@@ -53,7 +56,10 @@ class MixedFit:
 
 
 def published(observed: Observations, response: str, predictor: str, level: float = 0.95) -> MixedFit:
-    """MixedLM of ``response ~ C(region) + predictor`` with a random intercept a patient, by REML; Wald z."""
+    """MixedLM of ``response ~ C(region) + predictor`` with a random intercept a patient, by REML; Wald z.
+
+    Where it is singular, ordinary least squares with Student's t; where it does not converge, the same model by another search.
+    """
     import statsmodels.api as sm
 
     y, x = observed.values[response], observed.values[predictor]
@@ -66,24 +72,29 @@ def published(observed: Observations, response: str, predictor: str, level: floa
         fit = sm.MixedLM(y.ravel(), design, groups=np.repeat(np.arange(patients), regions)).fit(reml=True)
         estimate, se = np.asarray(fit.fe_params), np.asarray(fit.bse_fe)  # by the roots of a matrix that may be indefinite
     variance, residual = float(np.asarray(fit.cov_re)[0, 0]), float(fit.scale)
-    q = stats.norm.ppf(0.5 + level / 2)
-    p = 2 * stats.norm.sf(np.abs(estimate / se))
-    columns = (estimate, se, estimate / se, p, estimate - q * se, estimate + q * se)
-    rows = tuple(Coefficient(term, *map(float, row)) for term, row in zip(terms, np.stack(columns, axis=1), strict=True))
-    notes = [_singular(predictor)] if variance < _NO_SPREAD * residual else []
+    here, notes, method = f"response {response}, predictor {predictor}", [], MIXED
     words = {str(w.message).strip().splitlines()[0].rstrip(".") for w in told if not issubclass(w.category, FutureWarning)}
     if words:
-        notes.append(f"response {response}, predictor {predictor}: statsmodels says: {'; '.join(sorted(words))}.")
-    if not fit.converged:
-        notes.append(f"response {response}, predictor {predictor}: the fit did not converge; its numbers are no estimates.")
-    return MixedFit(rows, math.sqrt(max(variance, 0.0)), math.sqrt(residual), tuple(notes))
-
-
-def _singular(predictor: str) -> str:
-    return (
-        f"predictor {predictor}: the random intercept's variance is zero (a singular fit): the patients differ by no more"
-        " than their regions do, and the answer is that of ordinary least squares."
-    )
+        notes.append(f"{here}: statsmodels says: {'; '.join(sorted(words))}.")
+    if not (fit.converged and np.isfinite(se).all()):
+        found = _restricted(y, design.reshape(patients, regions, -1), np.zeros((patients, regions, regions)))
+        if found.converged and np.isfinite(found.covariance).all():
+            estimate, se, method = found.estimate, np.sqrt(np.diag(found.covariance)), OTHER_REML
+            variance, residual = found.intercept, found.residual
+            notes.append(f"{here}: MixedLM did not converge; the numbers are the same model's by another search.")
+        else:
+            notes.append(f"{here}: the fit did not converge; its numbers are no estimates.")
+    df = math.inf
+    if variance < _NO_SPREAD * residual:
+        squares = sm.OLS(y.ravel(), design).fit()
+        estimate, se, df, method = np.asarray(squares.params), np.asarray(squares.bse), float(squares.df_resid), SQUARES
+        variance, residual = 0.0, float(squares.scale)
+        notes.append(
+            f"{here}: the random intercept's variance is zero (a singular fit): the patients differ by no more than their regions"
+            f" do, and the row is that of ordinary least squares (t with {df:.0f} degrees of freedom)."
+        )
+    rows = tuple(_by_t(term, float(b), float(s), df, level) for term, b, s in zip(terms, estimate, se, strict=True))
+    return MixedFit(rows, math.sqrt(max(variance, 0.0)), math.sqrt(residual), tuple(notes), method)
 
 
 def known_error(y: FloatArray, x: FloatArray, t: FloatArray, level: float = 0.95) -> tuple[Coefficient, float, float]:
@@ -92,9 +103,32 @@ def known_error(y: FloatArray, x: FloatArray, t: FloatArray, level: float = 0.95
     y, x: (patients, regions); t: (patients, regions, regions).
     """
     patients, regions = y.shape
+    design = np.concatenate([np.tile(np.eye(regions), (patients, 1, 1)), (x - x.mean())[:, :, None]], axis=2)
+    found = _restricted(y, design, t)
+    slope, se = float(found.estimate[-1]), math.sqrt(float(found.covariance[-1, -1]))
+    # a predictor that is one number a patient is told by the patients alone (containment)
+    within = float(np.abs(x - x.mean(axis=1, keepdims=True)).max()) > 1e-12 * float(np.abs(x).max() or 1.0)
+    df = patients * regions - regions - (patients - 1) - 1 if within else patients - 2
+    return _by_t("", slope, se, df, level), math.sqrt(found.intercept), math.sqrt(found.residual)
+
+
+@dataclass(frozen=True)
+class _Restricted:
+    """Estimates with their covariance, variances of intercept and residual (0 at the least that is sought), and whether REML's
+    search ended."""
+
+    estimate: FloatArray
+    covariance: FloatArray
+    intercept: float
+    residual: float
+    converged: bool
+
+
+def _restricted(y: FloatArray, design: FloatArray, t: FloatArray) -> _Restricted:
+    """REML of y (patients, regions) on a design (patients, regions, terms), its errors' covariance t known."""
+    regions = y.shape[1]
     scale = float(np.std(y - y.mean(axis=0))) or 1.0
     data, errors = y / scale, t / scale**2
-    design = np.concatenate([np.tile(np.eye(regions), (patients, 1, 1)), (x - x.mean())[:, :, None]], axis=2)
     ones, eye = np.ones((regions, regions)), np.eye(regions)
 
     def solve(logs: FloatArray) -> tuple[float, FloatArray, FloatArray]:
@@ -111,12 +145,8 @@ def known_error(y: FloatArray, x: FloatArray, t: FloatArray, level: float = 0.95
     bound = (math.log(1e-7), math.log(1e3))
     found = minimize(lambda z: solve(z)[0], np.log([0.3, 0.4]), method="L-BFGS-B", bounds=[bound, bound])
     _, estimate, covariance = solve(found.x)
-    slope, se = float(estimate[-1]) * scale, math.sqrt(float(covariance[-1, -1])) * scale
-    # a predictor that is one number a patient is told by the patients alone (containment)
-    within = float(np.abs(x - x.mean(axis=1, keepdims=True)).max()) > 1e-12 * float(np.abs(x).max() or 1.0)
-    df = patients * regions - regions - (patients - 1) - 1 if within else patients - 2
-    b, e = (math.sqrt(v) * scale if v > 2e-7 else 0.0 for v in np.exp(found.x))
-    return _by_t("", slope, se, df, level), b, e
+    b, e = (float(v) * scale**2 if v > 2e-7 else 0.0 for v in np.exp(found.x))
+    return _Restricted(estimate * scale, covariance * scale**2, b, e, bool(found.success))
 
 
 def rubin(draws: FloatArray, x: FloatArray, level: float = 0.95) -> Coefficient:
@@ -143,7 +173,6 @@ def normal_draws(mean: FloatArray, covariance: FloatArray, count: int, seed: int
 
 
 def _by_t(term: str, slope: float, se: float, df: float, level: float) -> Coefficient:
-    q = float(stats.t.ppf(0.5 + level / 2, df))
-    return Coefficient(
-        term, slope, se, slope / se, float(2 * stats.t.sf(abs(slope / se), df)), slope - q * se, slope + q * se, df
-    )
+    q = float(stats.t.ppf(0.5 + level / 2, df))  # of infinite df the normal's
+    ratio = slope / se if se != 0 else math.copysign(math.inf, slope)  # of a fit that leaves nothing
+    return Coefficient(term, slope, se, ratio, float(2 * stats.t.sf(abs(ratio), df)), slope - q * se, slope + q * se, df)
