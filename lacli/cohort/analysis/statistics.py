@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,10 +14,10 @@ from lacli.cohort.analysis.errors_in_variables import structural_slope
 from lacli.cohort.analysis.mixed import DRAWS, MixedFit, known_error, normal_draws, published, rubin
 from lacli.cohort.analysis.observations import Observations
 from lacli.cohort.analysis.paired import PairedTest, paired_tests
-from lacli.contracts.features import KEYS, parse
+from lacli.contracts.features import KEYS
 
-_STIFFNESS = ("alpha", "c", "stiffness")
-_DISPLACEMENT = "displacement_mm"
+_ANYWHERE = re.compile(r"alpha\d*|stiffness|c\d+")
+_DISPLACEMENT = re.compile(r"([dnab]|displacement)(_(global|es|endo))?_mm")
 
 
 @dataclass(frozen=True)
@@ -95,32 +96,48 @@ def statistics(
 
 
 def circularity(response: str, predictors: Sequence[str], targets: Sequence[str] | None) -> list[str]:
-    """A warning for each pair of a stiffness and a quantity that it was calibrated to."""
-    fitted = {_quantity(name) for name in targets} if targets is not None else {"d_mm", "esv_ml"}
+    """A warning for each pair of a stiffness and a quantity that it was calibrated to, or that goes with one that it was."""
+    fitted = {_quantity(name) for name in (targets if targets is not None else ("d_mm", "esv_ml"))}
     found = []
     for name in predictors:
         for stiffness, other in ((name, response), (response, name)):
-            if _is_stiffness(stiffness) and _quantity(other) in fitted:
+            kind, time = _quantity(other)
+            if not _is_stiffness(stiffness) or kind not in {of for of, _ in fitted}:
+                continue
+            if (kind, time) in fitted:
                 found.append(
-                    f"{response} against {name} is circular: {stiffness} was calibrated to {other}, so they agree whether or not"
-                    " stiffness determines motion. Calibrate to end-systole and test on other times (d_mm@0.25), or leave the"
-                    " region's displacement out of the targets; name the targets used with --targets."
+                    f"{response} against {name} is circular: {stiffness} was calibrated to {other}, or to the same motion by"
+                    " another measure, so they agree whether or not stiffness determines motion. Calibrate to end-systole and"
+                    " test on other times (d_mm@0.25), or leave the regions' displacements out of the targets; name the targets"
+                    " used with --targets."
+                )
+            else:
+                found.append(
+                    f"{response} against {name} is nearly circular: {stiffness} was calibrated to the same motion in other"
+                    f" frames, which go with {other}; it tells whether the model foretells these frames, not whether"
+                    " stiffness determines motion."
                 )
     return found
 
 
 def _is_stiffness(name: str) -> bool:
-    return name.lower().split("_")[0] in _STIFFNESS
+    """Whether a column is one of stiffness: alpha or stiffness anywhere in its name, C (c1, log_c) where the quantity stands."""
+    parts = name.lower().split("_")
+    main = parts[1:] if parts[0] in ("log", "ln", "log10") else parts
+    return any(_ANYWHERE.fullmatch(part) for part in parts) or main[:1] == ["c"]
 
 
-def _quantity(name: str) -> str:
-    """A feature's name without its region: ``d_septum_mm@0.25`` is ``d_mm@0.25``, as a column of a tidy table is named."""
-    key, at, time = name.partition("@")
-    if key in KEYS and (region := parse(key)[0].region):
+def _quantity(name: str) -> tuple[str, str]:
+    """What a column or target measures, and when ("" at end-systole): all measures of displacement are one, of all regions; the
+    volumes are one; of others their own name without the region."""
+    key, _, time = name.lower().partition("@")
+    if key in KEYS and (region := KEYS[key].region):
         key = key.replace(f"_{region}", "")
-    if key == _DISPLACEMENT:
-        key = "d_mm"
-    return key + at + time
+    if _DISPLACEMENT.fullmatch(key):
+        return "displacement", time
+    if key in ("esv_ml", "volume_ml"):
+        return "volume", time
+    return key, time
 
 
 def _check_variation(observed: Observations, name: str) -> None:

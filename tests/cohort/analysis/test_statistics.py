@@ -17,7 +17,7 @@ from lacli.cohort.analysis.errors_in_variables import _f_of_ratio, _Model, _rati
 from lacli.cohort.analysis.mixed import MIXED, OTHER_REML, SQUARES, known_error, normal_draws, published, rubin
 from lacli.cohort.analysis.observations import Observations, read_observations
 from lacli.cohort.analysis.paired import holm, paired_tests
-from lacli.cohort.analysis.statistics import circularity, statistics
+from lacli.cohort.analysis.statistics import statistics
 
 REGIONS = ("anterior", "posterior", "septum", "lateral", "roof")
 
@@ -209,26 +209,6 @@ def test_where_mixedlm_does_not_converge_the_same_model_is_found_another_way(mon
     assert [c.estimate for c in found.coefficients] == pytest.approx([c.estimate for c in good.coefficients], rel=1e-3)
     assert found.of("x").se == pytest.approx(known_error(y, x, np.zeros((10, 5, 5)))[0].se, rel=1e-6)
     assert found.intercept_sd == pytest.approx(good.intercept_sd, rel=1e-2)
-
-
-@pytest.mark.parametrize(
-    ("response", "predictor", "targets", "circular"),
-    [
-        ("d_mm", "alpha", None, True),
-        ("displacement_mm", "alpha", None, True),
-        ("alpha", "d_mm", None, True),
-        ("d_mm", "stiffness_kpa", None, True),
-        ("d_mm@0.25", "alpha", None, False),
-        ("n_mm", "alpha", None, False),
-        ("n_mm", "alpha", ["n_septum_mm", "n_roof_mm"], True),
-        ("n_mm@0.25", "alpha", ["n_septum_mm@0.25"], True),
-        ("d_mm", "alpha", ["esv_ml"], False),
-        ("d_mm", "thickness_mm", None, False),
-        ("alpha", "thickness_mm", None, False),
-    ],
-)
-def test_what_is_circular(response: str, predictor: str, targets: list[str] | None, circular: bool) -> None:
-    assert bool(circularity(response, [predictor], targets)) == circular
 
 
 def _spoil(name: str, frame: pd.DataFrame) -> pd.DataFrame:
