@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lacli.base.errors import InputError, LacliError, UsageError
+from lacli.base.errors import InputError, LacliError, StorageError, UsageError
 
 if TYPE_CHECKING:
     from lacli.api.progress import Cancel, OnProgress
@@ -57,14 +57,14 @@ def run_cohort(
 
     Each step is a call of ``lacli`` in a process of its own; what is done is found again by content. only: these patients (the
     tables hold all that are done, from what they would be done from now, in the units of their columns' names; who is not any
-    more is told in the notes). A patient who fails is an outcome. scheduler: address of a Dask scheduler, whose workers take a
+    more is told in the notes). A patient who fails is an outcome, and so is one whose kept results are of other inputs, where
+    others' are not. scheduler: address of a Dask scheduler, whose workers take a
     patient each and see the same files; slurm: such workers as SLURM jobs of the settings' ``[slurm]``. dry_run: steps, their
     state and cost are told, nothing is run; script: neither, and a SLURM array script, a task a patient, is written there.
     Raises TableError, UsageError, InputError before anything is run, StorageError, Cancelled, LacliError where the scheduler is
     lost (what is done is kept).
     """
     from lacli.base.files import check_folder
-    from lacli.cohort.study import planned
 
     if slurm + (scheduler is not None) + (script is not None) > 1:
         raise UsageError(
@@ -76,22 +76,45 @@ def run_cohort(
         check_folder(folder)
     home = folder.absolute()
     chosen = _patients(participants, folder, scene, settings, only)
-    rows = {patient.identifier: planned(patient, steps, home / patient.identifier) for patient, steps in chosen}
+    rows, refused = _planned(chosen, home)
     steps = tuple(row for of_patient in rows.values() for row in of_patient)
     cost = _cost(chosen, steps, folder, settings)
     if script is not None:
         _write_slurm(participants, folder, script, scene, settings, list(rows))
     if dry_run or script is not None:
         return Cohort(steps, cost)
+    chosen = [(patient, of) for patient, of in chosen if patient.identifier not in {o.participant_id for o in refused}]
     if slurm:
         found = _on_slurm(chosen, home, settings, progress, cancel)
     elif scheduler is not None:
         found = _on_cluster(chosen, home, scheduler, progress, cancel)
     else:
         found = _here(chosen, home, progress, cancel)
-    by_name = {outcome.participant_id: outcome for outcome in found}
+    by_name = {outcome.participant_id: outcome for outcome in (*refused, *found)}
     outcomes, summary = _gathered(participants, folder, scene, settings, by_name)
     return Cohort(steps, cost, outcomes, summary)
+
+
+def _planned(chosen: Patients, home: Path) -> tuple[dict[str, list[Planned]], list[Outcome]]:
+    """The steps' state by patient, and as outcomes those whose results were made of something else: they are not run, and others
+    are. What they left on disk stays as it is, for the inputs may come back.
+
+    Raises UsageError, InputError, StorageError where that is so of all of them: the call is wrong, not a patient.
+    """
+    from lacli.cohort.study import REFUSED, Outcome, Planned, planned
+
+    rows, refused, first = dict[str, list[Planned]](), list[Outcome](), None
+    for patient, steps in chosen:
+        name = patient.identifier
+        try:
+            rows[name] = planned(patient, steps, home / name)
+        except (UsageError, InputError, StorageError) as error:
+            rows[name] = [Planned(name, "", f"{REFUSED}: {error}", "")]
+            refused.append(Outcome(name, "failed", "kept results", str(error), {}))
+            first = first or error
+    if first is not None and len(refused) == len(chosen):
+        raise first
+    return rows, refused
 
 
 def _here(chosen: Patients, home: Path, progress: OnProgress | None, cancel: Cancel | None) -> Iterator[Outcome]:

@@ -25,7 +25,7 @@ from lacli.cohort.participants import Participant
 from lacli.cohort.steps import Step
 from lacli.contracts.identity import METHODS, content_hash, solver_digest
 
-TO_DO, DONE = "to do", "done"
+TO_DO, DONE, REFUSED = "to do", "done", "refused"
 _TIMEOUT_S = 30 * 86_400.0
 _BLOCK = 1 << 20
 
@@ -43,7 +43,8 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Planned:
-    """A step of the dry run: ``done``, ``to do``, or of a step that was done, on what it depends that it still is."""
+    """A step of the dry run: ``done``, ``to do``, or of a step that was done, on what it depends that it still is; of a patient
+    whose results are of other inputs one row, ``refused`` with the reason."""
 
     participant_id: str
     step: str

@@ -301,6 +301,16 @@ def test_who_is_not_done_from_these_inputs_any_more_is_left_out(tmp_path: Path, 
     statuses, notes, kept = told("sub-1")
     assert statuses == {"sub-1": "done", "sub-3": "failed"} and kept == {"sub-1"}
     assert len(notes) == 1 and notes[0].startswith("sub-2 was done from other inputs: run the study again.")
+    # asked for, it is a failure with its reason, and no end of the others
+    state = (home / "sub-2" / "status.json").read_bytes()
+    assert told("sub-1", "sub-2")[0] == {"sub-1": "done", "sub-2": "failed", "sub-3": "failed"}
+    people = pd.read_csv(home / PATIENTS).set_index("participant_id")
+    assert people.loc["sub-2", "step"] == "kept results" and "done from another" in people.loc["sub-2", "reason"]
+    assert (home / "sub-2" / "status.json").read_bytes() == state, "its inputs may come back"
+    plan = run_cohort(table, home, only=("sub-1", "sub-2"), dry_run=True)
+    assert [row.state.partition(":")[0] for row in plan.steps] == ["done", "done", "refused"]
+    with pytest.raises(UsageError, match="done from another"):
+        run_cohort(table, home, only=("sub-2",))
     (tmp_path / "sub-2.toml").write_text(given)
     assert told("sub-1")[0] == of_all
 

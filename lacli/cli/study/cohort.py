@@ -50,7 +50,8 @@ def command(
             return
         print_table("Steps", ["participant", "step", "state"], [[r.participant_id, r.step, r.state] for r in plan.steps])
         for row in plan.steps if dry_run else ():
-            out.print(row.command, highlight=False, soft_wrap=True)
+            if row.command:  # a patient whose kept results are refused has none
+                out.print(row.command, highlight=False, soft_wrap=True)
         out.print(_cost_words(plan.cost), highlight=False, soft_wrap=True)
         return
     with stages() as show:
