@@ -13,7 +13,7 @@ from lacli.cohort.analysis.demographics import HEAD, demographics
 from lacli.cohort.analysis.journal import MODEL_HEAD, PAIR_HEAD, SLOPE_HEAD, model_rows, pair_rows, slope_rows
 from lacli.cohort.analysis.observations import Observations, read_observations
 from lacli.cohort.analysis.statistics import Statistics, statistics
-from lacli.cohort.files import CONTRASTS, DRAWS, MODELS, PATIENTS, REGIONS, STATE, SUMMARY
+from lacli.cohort.files import CONTRASTS, DRAWS, FEATURES, MODELS, PATIENTS, REGIONS, STATE, SUMMARY
 from lacli.cohort.sections import (
     anatomies_section,
     cells,
@@ -92,16 +92,18 @@ def _answers(study: Path, pictures: Path) -> list[Section]:
     names = [name for name in _LONG if name in frame]
     if frame["participant_id"].nunique() < 2:
         return [Section("statistics", "Statistics", ("One patient is done; statistics over patients need at least 2.",))]
-    # joint draws tell how a patient's regions err together, which no sd does
-    draws = study / DRAWS if _DRAWN in names and (study / DRAWS).is_file() else None
-    observed = read_observations(file, names, draws=draws)
+    targets = list(map(str, read_frame(study / FEATURES)["feature"])) if (study / FEATURES).is_file() else None
     sections = []
     for response, wanted in _QUESTIONS:
         if response not in names:
             continue
-        predictors = [name for name in wanted if name in names and _varies(observed, name)]
-        enough = len(observed.patients) > 2 and _varies(observed, response)
-        found = statistics(observed, response, predictors if enough else [])
+        asked = [response, *(name for name in wanted if name in names)]
+        # joint draws tell how a patient's regions err together, which no sd does
+        draws = study / DRAWS if _DRAWN in asked and (study / DRAWS).is_file() else None
+        observed = read_observations(file, asked, draws=draws)
+        predictors = [name for name in asked[1:] if _varies(observed, name)]
+        enough = len(observed.patients) > 2 and len(observed.regions) > 1 and _varies(observed, response)
+        found = statistics(observed, response, predictors if enough else [], targets)
         sections.append(_answer(found, observed, pictures))
     return sections
 

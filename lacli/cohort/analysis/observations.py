@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,7 +29,7 @@ ERROR = "_sd"
 @dataclass(frozen=True)
 class Observations:
     """A complete table. values: by name, (patients, regions); errors: covariances (patients, regions, regions) of those values
-    that are posterior means; draws: (draws, patients, regions) joint posterior draws where given."""
+    that are posterior means; draws: (draws, patients, regions) joint posterior draws where given; notes: what was left out."""
 
     patients: tuple[str, ...]
     regions: tuple[str, ...]
@@ -37,6 +37,7 @@ class Observations:
     errors: dict[str, FloatArray]
     draws: dict[str, FloatArray]
     where: str
+    notes: tuple[str, ...] = ()
 
 
 def read_observations(
@@ -45,7 +46,8 @@ def read_observations(
     """The columns ``names`` of a CSV or Parquet table, and ``<name>_sd``, the posterior's standard deviation, where it is there.
 
     draws: a table of joint posterior draws (columns patient, region, ``draw`` and some of ``names``): their covariance between
-    a patient's regions takes the place of ``<name>_sd``. Raises TableError where a cell is empty or no number, an identifier is
+    a patient's regions takes the place of ``<name>_sd``. A region of which a column is empty in all patients is left out, with
+    a note. Raises TableError where a cell is empty or no number, an identifier is
     none or stands twice, or patients have different regions; UsageError where a column is missing.
     """
     frame = read_frame(path, (patient, region))
@@ -55,6 +57,9 @@ def read_observations(
     if twice.any():
         row = int(twice.argmax())
         raise TableError(f"{path}: {ids[row]}, {regions[row]}: two rows (the second is row {row + 1}). Keep one.")
+    left, notes = _left_out(frame, regions, names)
+    kept = [row for row, level in enumerate(regions) if level not in left]
+    frame, ids, regions = frame.iloc[kept], [ids[row] for row in kept], [regions[row] for row in kept]
     patients, levels = tuple(dict.fromkeys(ids)), tuple(dict.fromkeys(regions))
     if len(patients) < 2:
         raise TableError(f"{path}: one patient ({patients[0]}); statistics over patients need at least 2.")
@@ -74,11 +79,22 @@ def read_observations(
             errors[name] = sd[:, :, None] ** 2 * np.eye(len(levels))
     found: dict[str, FloatArray] = {}
     if draws is not None:
-        found = _read_draws(draws, names, patient, region, patients, levels)
+        found = _read_draws(draws, names, patient, region, patients, levels, left)
         for name, of in found.items():
             _check_draws(draws, name, of, values[name], patients, levels)
         errors |= {name: _covariances(d) for name, d in found.items()}
-    return Observations(patients, levels, values, errors, found, str(path))
+    return Observations(patients, levels, values, errors, found, str(path), notes)
+
+
+def _left_out(frame: pd.DataFrame, regions: Sequence[str], names: Sequence[str]) -> tuple[set[str], tuple[str, ...]]:
+    """Regions of which one of the columns has nothing at all, where it has something of others; and words on them."""
+    left, said = set[str](), list[str]()
+    for name in names:
+        known = {level for level, empty in zip(regions, frame[name].isna(), strict=True) if not empty}
+        if known and (lacking := [level for level in dict.fromkeys(regions) if level not in known]):
+            left |= set(lacking)
+            said.append(f"{name} is not known of {', '.join(lacking)}: left out.")
+    return (left, tuple(said)) if left < set(regions) else (set(), ())
 
 
 def column(frame: pd.DataFrame, name: str, path: Path) -> FloatArray:
@@ -89,7 +105,7 @@ def column(frame: pd.DataFrame, name: str, path: Path) -> FloatArray:
     bad = ~np.isfinite(values)
     if bad.any():
         row = int(bad.argmax())
-        cell = frame[name].iloc[row]
+        cell, row = frame[name].iloc[row], int(frame.index[row])  # the table's own, whatever is left out of it
         cell = cell.item() if hasattr(cell, "item") else cell
         what = "is empty" if pd.isna(cell) else f"holds {brief(cell)}, which is not a finite number"
         raise TableError(f"{path}: {name}, row {row + 1} {what}. Fill it in, or leave the patient out.")
@@ -131,14 +147,23 @@ def _filled(column: FloatArray, place: tuple[list[int], list[int]], shape: tuple
 
 
 def _read_draws(
-    path: Path, names: Sequence[str], patient: str, region: str, patients: tuple[str, ...], regions: tuple[str, ...]
+    path: Path,
+    names: Sequence[str],
+    patient: str,
+    region: str,
+    patients: tuple[str, ...],
+    regions: tuple[str, ...],
+    left: Collection[str] = (),
 ) -> dict[str, FloatArray]:
+    """Of the regions but for those that are ``left`` out."""
     frame = read_frame(path, (patient, region))
     there = [name for name in names if name in frame]
     if not there:
         raise UsageError(f"{path}: no draws of {', '.join(names)}; the columns are {', '.join(map(str, frame.columns[:40]))}.")
     _check_columns(frame, [patient, region, "draw"], path)
     ids, levels = _labels(frame, patient, region, path)
+    kept = [row for row, level in enumerate(levels) if level not in left]
+    frame, ids, levels = frame.iloc[kept], [ids[row] for row in kept], [levels[row] for row in kept]
     numbers, which = np.unique(frame["draw"].to_numpy(), return_inverse=True)
     shape = (len(numbers), len(patients), len(regions))
     if int(np.prod(shape)) > MOST_DRAWS:

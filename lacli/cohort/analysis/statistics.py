@@ -77,7 +77,7 @@ def statistics(
         _check_variation(observed, name)
     if predictors:
         _check_variation(observed, response)
-    warnings = circularity(response, predictors, targets)
+    warnings = [*observed.notes, *circularity(response, predictors, targets)]
     count = len(observed.patients)
     if count < 6:
         warnings.append(f"{count} patients: a test over so few finds only large effects, and its p rests on normality.")

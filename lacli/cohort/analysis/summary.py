@@ -31,7 +31,7 @@ from lacli.cohort.analysis.fits import (
     scores,
 )
 from lacli.cohort.analysis.influences import influences
-from lacli.cohort.analysis.transients import over_transients, transients
+from lacli.cohort.analysis.transients import at_end_systole, over_transients, transients
 from lacli.cohort.analysis.walls import walls
 from lacli.cohort.files import (
     ANATOMIES,
@@ -105,7 +105,7 @@ def write_summary(
             state[name] = replace(state[name], status="failed", step="summary", reason=str(error))
     found = tuple(state.values())
     table, partial = _complete([row for of in read.values() for row in of.regions])
-    said = [*notes, *([f"regions.csv lacks {', '.join(partial)}: not every patient has them."] if partial else [])]
+    said = [*notes, *partial]
     said += [f"{name}: {' '.join(of.doubts.words)}" for name, of in read.items() if of.doubts.words]
     people = [
         _person(p, state[p.identifier], study, read[p.identifier].doubts if p.identifier in read else Doubts())
@@ -147,7 +147,13 @@ def _read(study: Path, patient: Participant) -> _Patient:
         scores(name, result),
         walls(name, anatomy, fat),
         influences(name, folder / "calibration", result),
-        _regions(patient, result, {} if anatomy is None else anatomy.laplace_mm, fat.get("standard", {})),
+        _regions(
+            patient,
+            result,
+            {} if anatomy is None else anatomy.laplace_mm,
+            fat.get("standard", {}),
+            at_end_systole(patient.paths.get("targets", folder / "motion" / "targets.toml").parent),
+        ),
         _draws(patient, folder),
         [{"participant_id": name, **fit} for fit in comparison["fits"]],
     )
@@ -182,10 +188,23 @@ def _tables(read: Mapping[str, _Patient]) -> dict[str, pd.DataFrame]:
 
 
 def _complete(regions: Rows) -> tuple[pd.DataFrame, list[str]]:
-    """The table of regions without the columns that a patient lacks, and these."""
+    """The table of regions without what a patient lacks: a column's cells of that region, or the column where nothing is left;
+    and words on it."""
     table = pd.DataFrame(regions)
-    partial = [name for name in table.columns if table[name].isna().any()]
-    return table.drop(columns=partial), partial
+    lacking, said = list[str](), list[str]()
+    for name in table.columns:
+        empty = table.loc[table[name].isna(), "region"].unique().tolist()
+        if not empty:
+            continue
+        if set(empty) == set(table["region"]):
+            lacking.append(str(name))
+        else:
+            table.loc[table["region"].isin(empty), name] = np.nan
+            if not str(name).endswith("_sd"):
+                said.append(f"regions.csv has no {name} of {', '.join(empty)}: not every patient has it.")
+    if lacking:
+        said.append(f"regions.csv lacks {', '.join(lacking)}: not every patient has them.")
+    return table.drop(columns=lacking), said
 
 
 def _person(patient: Participant, outcome: Outcome, study: Path, doubted: Doubts) -> dict[str, Any]:
@@ -251,8 +270,13 @@ def _of_anatomy(patient: Participant, anatomy: Anatomy, fat: dict[str, dict[str,
 
 
 def _regions(
-    patient: Participant, result: dict[str, Any], thickness: Mapping[str, float], fat: Mapping[str, float]
+    patient: Participant,
+    result: dict[str, Any],
+    thickness: Mapping[str, float],
+    fat: Mapping[str, float],
+    tracked: Mapping[str, tuple[float, float]],
 ) -> list[dict[str, Any]]:
+    """A patient's rows; a displacement that was no target is of the tracked motion beside the targets, where there is one."""
     posterior = {row["input"]: row for row in result["posterior"]}
     fit = {row["feature"]: row for row in result["fit"]}
     rows = []
@@ -262,8 +286,10 @@ def _regions(
             for name in (f"{part}_{region}", f"{part}_{region}_kpa"):
                 if name in posterior:
                     row[part], row[f"{part}_sd"] = posterior[name]["mean"], posterior[name]["sd"]
-        target = fit.get(f"d_{region}_mm")
-        row["d_mm"], row["d_mm_sd"] = (target["target"], target.get("own_sd", target["sd"])) if target else (np.nan, np.nan)
+        seen = tracked.get(f"d_{region}_mm", (np.nan, np.nan))
+        if target := fit.get(f"d_{region}_mm"):
+            seen = target["target"], target.get("own_sd", target["sd"])
+        row["d_mm"], row["d_mm_sd"] = seen
         row["thickness_mm"], row["fat_ml"] = thickness.get(region, np.nan), fat.get(region, np.nan)
         rows.append(row)
     return rows

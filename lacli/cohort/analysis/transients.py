@@ -114,6 +114,14 @@ def _image(motion: Path, times: Sequence[float]) -> tuple[FloatArray, dict[str, 
     return at, found
 
 
+def at_end_systole(motion: Path) -> dict[str, tuple[float, float]]:
+    """Of a tracked motion's folder: value and sd at its end-systole by feature (mm, mL); empty where there is none."""
+    if (image := _image(motion, ())) is None:
+        return {}
+    here = int(np.argmin(np.abs(image[0] - float(read_json(motion / "tracking.json")["phases"]["es"]))))
+    return {key: (values[here], sd[here]) for key, (values, sd) in image[1].items()}
+
+
 def _phase(time: float, phases: Mapping[str, float]) -> str:
     """Of a time; end-systole is the reservoir's end."""
     if not phases:
