@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -96,6 +97,33 @@ def test_the_study_from_images_hands_each_patient_s_images_on(tmp_path: Path) ->
     assert known == {name: ("uniform", low, high) for name, (low, high, _) in LOADS.items()}
     truths = pd.read_csv(results / "cohort" / "truths.csv")
     assert truths.to_dict("list") == {"participant_id": ["sub-01", "sub-02"], "alpha_roof": [1.5, 1.5]}
+
+
+@pytest.mark.parametrize(
+    ("arm", "verdict", "difference", "said", "code"),
+    [
+        ("heterogeneous", "no contrast can be claimed", 0.5, "that regions differ is claimed of the arm: NOT MET", 0),
+        ("heterogeneous", "global is strongly preferred", -9.0, "no claim the wrong way round: NOT MET", 1),
+        ("control", "no contrast can be claimed", 0.5, "that regions differ is not claimed of the arm: met", 0),
+    ],
+)
+def test_what_is_asked_of_a_study_is_told_line_by_line(
+    tmp_path: Path, arm: str, verdict: str, difference: float, said: str, code: int
+) -> None:
+    """Three truths of four are in their intervals: 75 %, which no exit code is for."""
+    (tmp_path / "truths.csv").write_text("participant_id,a,b\ns1,1,1\ns2,1,3\n")
+    (tmp_path / "participants.csv").write_text(f"participant_id,arm\ns1,{arm}\ns2,{arm}\n")
+    pairs = [("pooled", "global"), ("regional", "global")]
+    contrasts = [{"model": m, "against": o, "difference": difference, "se": 0.1, "verdict": verdict} for m, o in pairs]
+    for name in ("s1", "s2"):
+        (tmp_path / name / "calibration").mkdir(parents=True)
+        posterior = [{"input": key, "low95": 0.0, "high95": 2.0} for key in ("a", "b")]
+        (tmp_path / name / "calibration" / "result.json").write_text(json.dumps({"posterior": posterior}))
+        (tmp_path / name / "comparison.json").write_text(json.dumps({"contrasts": contrasts}))
+    command = [sys.executable, str(ROOT / "benchmarks" / "study.py"), str(tmp_path), str(tmp_path)]
+    told = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert told.returncode == code, told.stderr
+    assert f"asked: {said}" in told.stdout and "asked: coverage of 93% to 97%: NOT MET: 75.0% ± 25.0%" in told.stdout
 
 
 def test_the_settings_of_the_examples_are_options_of_the_commands() -> None:
