@@ -17,8 +17,10 @@ from lacli.base.errors import UsageError
 from lacli.contracts.bundle import Bundle
 from lacli.motion import frames as framing
 from lacli.motion import tracking
+from lacli.motion.annulus import annulus_points
 from lacli.motion.axes import nodal_axes
 from lacli.motion.errors import uncertainty
+from lacli.motion.errors.ring import AnnulusError, annulus_error
 from lacli.motion.errors.uncertainty import ErrorModel, SurfaceError
 from lacli.motion.frames import Source
 from lacli.motion.registration import ENGINES
@@ -56,7 +58,8 @@ class Tracked:
     """The course of the bundle's points, the errors measured, and how.
 
     known: time and surface error of each frame whose motion was applied, as a true motion would have it; ed_residual: that of
-    end-diastole registered to itself with fresh noise (or, ``closure_mm``, to a frame at the end of the cycle).
+    end-diastole registered to itself with fresh noise (or, ``closure_mm``, to a frame at the end of the cycle); annulus: what its
+    positions, as they are in the course, err by.
     """
 
     course: Course
@@ -64,6 +67,7 @@ class Tracked:
     known: list[tuple[float, SurfaceError]]
     ed_residual: SurfaceError | None
     closure_mm: float | None
+    annulus: AnnulusError
     info: dict[str, Any] = field(default_factory=dict)
 
 
@@ -96,15 +100,18 @@ def track(
     )
     found = [f.at(bundle.points) for f in again.fields]
     normal = nodal_axes(bundle, surface)["normal"]
-    errors, changes, by_frame = [], [], []
+    ring = annulus_points(bundle)
+    errors, changes, by_frame, at_ring = [], [], [], []
     for i, k, u in zip(chosen, known[1:], found[1:], strict=True):
         error = uncertainty.as_of_a_true_motion(u - k.displacement, normal)
         right, got = (surface.features(bundle.points + k.displacement + e) for e in (np.zeros_like(error), error))
         errors.append({key: got[key] - right[key] for key in right})
         changes.append({key: right[key] - course.features[0][key] for key in right})
         by_frame.append((float(times[i + 1]), uncertainty.surface_error(surface, error)))
+        at_ring.append(error[ring])
     model = uncertainty.error_model(errors, changes)
     course = course.restored(model.shrinkage)
+    annulus = annulus_error(at_ring, [k.displacement[ring] for k in known[1:]])
     info = {
         "engine": settings.engine,
         "engine_settings": ENGINES[settings.engine].settings,
@@ -120,7 +127,7 @@ def track(
         "registrations_kept": run.kept + again.kept,
         "registrations": len(pairs) + len(known),
     }
-    return Tracked(course, model, by_frame, uncertainty.surface_error(surface, found[0]), closure, info)
+    return Tracked(course, model, by_frame, uncertainty.surface_error(surface, found[0]), closure, annulus, info)
 
 
 def smoothed(times: FloatArray, displacement: FloatArray, harmonics: int) -> FloatArray:
@@ -167,4 +174,5 @@ def from_given(bundle: Bundle, times: FloatArray, displacement: FloatArray, erro
         "error_normal_mm": error_mm[0],
         "error_tangential_mm": error_mm[1],
     }
-    return Tracked(Course.of(surface, times, displacement), model, [], stated, closure, info)
+    annulus = AnnulusError(0.0, 0.0, float(np.hypot(*error_mm)))
+    return Tracked(Course.of(surface, times, displacement), model, [], stated, closure, annulus, info)

@@ -76,11 +76,14 @@ def write_all(folder: Path, bundle: Bundle, tracked: Tracked, found: Covaried, n
     ids = annulus_points(bundle)
     normal, tangential = _mean_error(tracked)
     endo = np.unique(bundle.cavity_triangles())
+    annulus = _annulus(tracked, course.positions[:, ids])
     # one file: what a simulation needs of the annulus, and beside it what was tracked and how well
     arrays = {
-        "times": course.times, "wall_point": ids, "positions": course.positions[:, ids], "es_time": phases.es,
+        "times": course.times, "wall_point": ids, "es_time": phases.es,
+        "positions": tracked.annulus.undone(course.positions[:, ids]),
         "endo_point": endo, "endo_positions": course.positions[:, endo], "engine": str(tracked.info["engine"]),
         "error_normal_mm": normal, "error_tangential_mm": tangential,
+        "annulus_share": annulus["share"], "annulus_error_mm": annulus["es_error_mm"],
     }  # fmt: skip
     write_arrays(folder / "motion.npz", arrays)
     rows = [
@@ -90,7 +93,14 @@ def write_all(folder: Path, bundle: Bundle, tracked: Tracked, found: Covaried, n
         pd.DataFrame(rows).to_csv(temporary, index=False)
     write_covaried(folder, found, phases, str(tracked.info["engine"]))
     write_series(folder / "frames", bundle, course.surface, course.times, course.positions)
-    info = {**tracked.info, **notes, "times": course.times.tolist(), "phases": asdict(phases), **_errors(tracked)}
+    info = {
+        **tracked.info,
+        **notes,
+        "times": course.times.tolist(),
+        "phases": asdict(phases),
+        **_errors(tracked),
+        "annulus": annulus,
+    }
     write_json(folder / "tracking.json", info)
     return info
 
@@ -135,6 +145,15 @@ def _errors(tracked: Tracked) -> dict[str, Any]:
         "sd": dict(zip(tracked.model.keys, tracked.model.sd.tolist(), strict=True)),
         "shrinkage": _shrinkage(tracked),
     }
+
+
+def _annulus(tracked: Tracked, positions: FloatArray) -> dict[str, float]:
+    """What is said of the annulus, positions (f, n, 3) mm as tracked: the share found too much, which ``motion.npz`` no longer
+    has, its sd, the error beside it; how far its points have gone at the frame nearest end-systole, and their error there."""
+    course, error = tracked.course, tracked.annulus
+    moved = error.undone(positions)[int(np.argmin(np.abs(course.times - course.phases.es)))] - positions[0]
+    length = float(np.linalg.norm(moved, axis=1).mean())
+    return {**asdict(error), "es_displacement_mm": length, "es_error_mm": error.at(moved)}
 
 
 def _shrinkage(tracked: Tracked) -> dict[str, dict[str, float]] | None:

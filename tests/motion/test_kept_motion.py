@@ -16,6 +16,7 @@ from lacli.anatomy.surface_features import Endocardium
 from lacli.base.errors import StorageError, TableError
 from lacli.contracts.priors import read_prior_file
 from lacli.contracts.targets import read_targets
+from lacli.motion.errors.ring import AnnulusError
 from lacli.motion.errors.uncertainty import ErrorModel
 from lacli.motion.patient import Tracked
 from lacli.motion.store import COVARIANCE, check_replaceable, write_covaried, write_series
@@ -40,7 +41,7 @@ def test_targets_come_back_with_their_covariance(course: Course, tmp_path: Path)
     assert back.names == found.targets.names
     assert back.mean == pytest.approx(found.targets.mean) and back.sd == pytest.approx(found.targets.sd)
     assert back.covariance == pytest.approx(found.covariance)
-    assert isinstance(Tracked(course, model, [], None, None).course, Course)
+    assert isinstance(Tracked(course, model, [], None, None, AnnulusError(0.0, 0.0, 0.1)).course, Course)
 
 
 def test_what_is_known_of_pressures_stands_in_the_targets(course: Course, tmp_path: Path) -> None:

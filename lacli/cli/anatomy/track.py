@@ -116,6 +116,13 @@ def _say(found: api.Tracking, as_json: bool) -> None:
         err.print(
             f"registration finds too little motion, by known motions: {told}; undone in targets and transients.", highlight=False
         )
+    ring = found.report["annulus"]
+    undone = f", {-100.0 * ring['share']:.1f} +- {100.0 * ring['sd']:.1f} % of it undone" if shrinkage else ""
+    err.print(
+        f"the mitral annulus, which moves simulations: {ring['es_displacement_mm']:.2f} +- {ring['es_error_mm']:.2f} mm at "
+        f"end-systole{undone}.",
+        highlight=False,
+    )
     out.print(
         f"written: {found.folder} (motion.npz, targets.toml, transients.csv, frames/, {len(targets.names)} targets)",
         highlight=False,

@@ -62,11 +62,15 @@ def shrinkage_of(keys: Sequence[str], errors: FloatArray, changes: FloatArray) -
     share, sd = np.zeros(len(keys)), np.zeros(len(keys))
     for kind in set(kinds.tolist()):
         here = kinds == kind
-        slope, variance = slope_of(errors[:, here], changes[:, here])
-        kept = float(np.clip(slope, -_MOST, _MOST))
-        share[here] = kept
-        sd[here] = np.sqrt(variance + (_TOLD * slope) ** 2 + (slope - kept) ** 2)
+        share[here], sd[here] = share_of(errors[:, here], changes[:, here])
     return Shrinkage(tuple(keys), share, sd)
+
+
+def share_of(errors: FloatArray, changes: FloatArray) -> tuple[float, float]:
+    """The share of changes (m, r) in m known motions that is found too much, within what shrinkage can be, and its sd."""
+    slope, variance = slope_of(errors, changes)
+    kept = float(np.clip(slope, -_MOST, _MOST))
+    return kept, float(np.sqrt(variance + (_TOLD * slope) ** 2 + (slope - kept) ** 2))
 
 
 def slope_of(errors: FloatArray, changes: FloatArray) -> tuple[float, float]:
