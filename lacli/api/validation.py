@@ -32,10 +32,10 @@ def validate(run: Path, motion: Path, *, targets: Path | None = None, out: Path 
         if out.resolve() in (run.resolve(), motion.resolve()):
             raise UsageError(f"{out}: results have their own folder; choose another than the run's and the motion's.")
     simulated, tracked = _table(run / "transients.csv"), _table(motion / "transients.csv")
-    sd, es, shrinkage = _tracking(motion / "tracking.json")
+    sd, es, shrinkage, closed = _tracking(motion / "tracking.json")
     names = read_targets(targets or motion / "targets.toml").names
     try:
-        found = compare(simulated, tracked, sd, names, es, shrinkage)
+        found = compare(simulated, tracked, sd, names, es, shrinkage, closed)
     except InputError as error:
         raise InputError(f"{run} against {motion}: {error}") from error
     _tell_end_systole(run, simulated, motion, es)
@@ -63,8 +63,9 @@ def _tell_end_systole(run: Path, simulated: pd.DataFrame, motion: Path, tracked_
         )
 
 
-def _tracking(path: Path) -> tuple[dict[str, float], float, dict[str, dict[str, float]] | None]:
-    """The features' sd, the time of end-systole and the shrinkage (or None) that tracking.json tells. Raises InputError."""
+def _tracking(path: Path) -> tuple[dict[str, float], float, dict[str, dict[str, float]] | None, bool]:
+    """The features' sd, the time of end-systole, the shrinkage (or None), and whether a drift was corrected: as tracking.json
+    tells. Raises InputError."""
     info = read_json(path)
     sd, phases, shrinkage = (info.get(key) if isinstance(info, dict) else None for key in ("sd", "phases", "shrinkage"))
     if not isinstance(sd, dict) or not isinstance(phases, dict) or not _is_number(phases.get("es")):
@@ -74,7 +75,7 @@ def _tracking(path: Path) -> tuple[dict[str, float], float, dict[str, dict[str, 
     parts = shrinkage.values() if isinstance(shrinkage, dict) else () if shrinkage is None else (None,)
     if not all(isinstance(part, dict) and _is_number(part.get("sd")) and _is_number(part.get("share")) for part in parts):
         raise InputError(f"{path}: its shrinkage is damaged; track again.")
-    return {name: float(value) for name, value in sd.items()}, float(phases["es"]), shrinkage
+    return {name: float(value) for name, value in sd.items()}, float(phases["es"]), shrinkage, info.get("closure_mm") is not None
 
 
 def _is_number(value: object) -> bool:

@@ -86,7 +86,7 @@ def track(
     times, moved, closure = tracking.displacement_of(run.fields, times, bundle.points)
     if settings.harmonics:
         moved = smoothed(times, moved, settings.harmonics)
-    course = Course.of(surface, times, moved)
+    course = Course.of(surface, times, moved, closure is not None)
     monitor("preparing known motions", 0, 1)
     count = len(times) - 1
     mean = uncertainty.template(images[0], images[1 : count + 1], run.fields[:count])
@@ -175,4 +175,4 @@ def from_given(bundle: Bundle, times: FloatArray, displacement: FloatArray, erro
         "error_tangential_mm": error_mm[1],
     }
     annulus = AnnulusError(0.0, 0.0, float(np.hypot(*error_mm)))
-    return Tracked(Course.of(surface, times, displacement), model, [], stated, closure, annulus, info)
+    return Tracked(Course.of(surface, times, displacement, closure is not None), model, [], stated, closure, annulus, info)

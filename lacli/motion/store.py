@@ -23,6 +23,7 @@ from lacli.contracts.tables.covariance import write_covariance
 from lacli.geometry.subdivision import straight
 from lacli.motion.annulus import annulus_points
 from lacli.motion.axes import nodal_axes
+from lacli.motion.errors.drift import widened
 from lacli.motion.patient import Tracked
 from lacli.motion.phases import Phases
 from lacli.motion.targets import Covaried
@@ -151,9 +152,11 @@ def _annulus(tracked: Tracked, positions: FloatArray) -> dict[str, float]:
     """What is said of the annulus, positions (f, n, 3) mm as tracked: the share found too much, which ``motion.npz`` no longer
     has, its sd, the error beside it; how far its points have gone at the frame nearest end-systole, and their error there."""
     course, error = tracked.course, tracked.annulus
-    moved = error.undone(positions)[int(np.argmin(np.abs(course.times - course.phases.es)))] - positions[0]
+    frame = int(np.argmin(np.abs(course.times - course.phases.es)))
+    moved = error.undone(positions)[frame] - positions[0]
+    wider = float(widened(course.times[frame], course.closed))
     length = float(np.linalg.norm(moved, axis=1).mean())
-    return {**asdict(error), "es_displacement_mm": length, "es_error_mm": error.at(moved)}
+    return {**asdict(error), "es_displacement_mm": length, "es_error_mm": error.at(moved, wider)}
 
 
 def _shrinkage(tracked: Tracked) -> dict[str, dict[str, float]] | None:

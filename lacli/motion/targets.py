@@ -14,6 +14,7 @@ from lacli.base.errors import InputError, UsageError
 from lacli.contracts.features import PUBLISHED, at_time
 from lacli.contracts.priors import Prior
 from lacli.contracts.targets import SAME_ES, Targets
+from lacli.motion.errors.drift import frame_errors
 from lacli.motion.errors.shrinkage import Shrinkage
 from lacli.motion.errors.uncertainty import ErrorModel
 from lacli.motion.phases import Phases, phases_of
@@ -33,6 +34,7 @@ class Course:
     """The endocardium through the cycle: times (f,) from 0 below 1, positions (f, n, 3) mm, features per frame, phases.
 
     ``shrinkage``: of registration, where it has been undone in features and phases; positions are as they were tracked.
+    ``closed``: whether what was left at a frame of end-diastole again has been spread over the cycle.
     """
 
     surface: Endocardium
@@ -41,9 +43,10 @@ class Course:
     features: list[dict[str, float]]
     phases: Phases
     shrinkage: Shrinkage | None = None
+    closed: bool = False
 
     @classmethod
-    def of(cls, surface: Endocardium, times: FloatArray, displacement: FloatArray) -> Course:
+    def of(cls, surface: Endocardium, times: FloatArray, displacement: FloatArray, closed: bool = False) -> Course:
         """From the displacement (f, n, 3) mm of the bundle's points.
 
         InputError where the volume never rises from the first frame, or falls far below it: that is no end-diastole.
@@ -64,7 +67,7 @@ class Course:
                 f"largest {volume.max():.1f} mL: the first is not end-diastole, the atrium's least volume. Give the frame of "
                 "least volume first, and mesh the bundle from it."
             )
-        return cls(surface, times, positions, features, phases_of(times, volume))
+        return cls(surface, times, positions, features, phases_of(times, volume), closed=closed)
 
     def doubts(self, model: ErrorModel) -> list[str]:
         """In words, whether a later frame's volume is below the first's by more than its error."""
@@ -135,8 +138,9 @@ def measured(course: Course, model: ErrorModel, times: Sequence[float] | None = 
     """All features at ES (without a time in their names) and ``@<time>`` at every frame after ED, or at ``times``.
 
     Errors of one frame go together as ``model.correlation``, those of two frames by ``model.between``; end-diastole has none, and
-    an interpolated time has those of the frames it is made from, and that of the interpolation. Where the course is restored from
-    registration's shrinkage, what is not known of that moves all targets of a kind together.
+    an interpolated time has those of the frames it is made from, and that of the interpolation. A drift that was corrected
+    adds its own error (``errors.drift``). Where the course is restored from registration's shrinkage, what is
+    not known of that moves all targets of a kind together.
     """
     es = course.phases.es
     wanted = [float(t) for t in (course.times[1:] if times is None else times)]
@@ -163,15 +167,14 @@ def measured(course: Course, model: ErrorModel, times: Sequence[float] | None = 
         weights.append(course.weights(at)[1:])
         missing = course.interpolation_error(at)
         between.append([missing[key] for key in keys])
-    frames = np.full((len(course.times) - 1,) * 2, model.between)
-    np.fill_diagonal(frames, 1.0)
+    shared, own = frame_errors(course.times[1:], course.closed)
     w = np.array(weights)
-    over_time = w @ frames @ w.T
+    over_time = model.between * np.outer(w @ shared, w @ shared) + (1.0 - model.between) * w @ own @ w.T
     sd = model.sd[column]
     if course.shrinkage is not None:
         sd = sd * course.shrinkage.undoing(keys)
     within = model.correlation[np.ix_(column, column)] * np.outer(sd, sd)
-    covariance = np.kron(over_time, within)
+    covariance: FloatArray = np.asarray(np.kron(over_time, within), dtype=float)
     for i, error in enumerate(between):
         # what lies between frames is unknown for all features together
         part = slice(i * len(keys), (i + 1) * len(keys))

@@ -13,6 +13,7 @@ from lacli.base.arrays import BoolArray, FloatArray
 from lacli.base.errors import InputError
 from lacli.contracts.features import KEYS, family, kind_of, parse
 from lacli.contracts.tables.columns import numbers
+from lacli.motion.errors.drift import widened
 from lacli.motion.errors.shrinkage import spread
 
 SAME_TIME = 0.02  # of the cycle: a target so near to a frame has used it
@@ -77,13 +78,15 @@ def compare(
     targets: Iterable[str] = (),
     es_time: float | None = None,
     shrinkage: Mapping[str, Mapping[str, float]] | None = None,
+    closed: bool = False,
 ) -> Validation:
     """A simulation's transients (a row per state, ``time`` from end-diastole on) against a tracked motion's (a row per frame).
 
     targets: names that the calibration used (``n_roof_mm@0.3``); one without a time is of ``es_time``, whose nearest frame counts
-    as used. sd, shrinkage: of the tracked features, as in tracking.json. Between simulated states a cubic spline is taken.
-    Volumes are compared by their change from end-diastole, since mesh and image may enclose a little more or less there. Raises
-    InputError where the tables lack times, share no feature or frame, or hold a word for a number.
+    as used. sd, shrinkage: of the tracked features, as in tracking.json; closed: whether its drift was corrected. Between
+    simulated states a cubic spline is taken. Volumes are compared by their change from end-diastole, since mesh and image may
+    enclose a little more or less there. Raises InputError where the tables lack times, share no feature or frame, or hold a word
+    for a number.
     """
     keys = tuple(key for key in tracked if key in KEYS and key in simulated)
     told = {"simulated": simulated, "tracked": tracked}
@@ -109,7 +112,10 @@ def compare(
     got = course(at) if course is not None else np.column_stack([np.interp(at, t, column) for column in values[0].T])
     given = values[1][here]
     changes = given - values[1][0]
-    error = np.column_stack([spread(key, float(sd.get(key, np.nan)), changes[:, j], shrinkage) for j, key in enumerate(keys)])
+    wider = widened(all_times[here], closed)
+    error = np.column_stack(
+        [spread(key, wider * float(sd.get(key, np.nan)), changes[:, j], shrinkage) for j, key in enumerate(keys)]
+    )
     error[~(error > 0)] = np.nan
     used = _used(all_times[here], keys, targets, es_time)
     return Validation(all_times[here], keys, np.asarray(got), given, error, used, int(later.sum() - here.sum()))

@@ -10,6 +10,7 @@ import pandas as pd
 from scipy.interpolate import CubicSpline
 
 from lacli.base.arrays import FloatArray
+from lacli.motion.errors.drift import widened
 from lacli.motion.errors.shrinkage import spread
 
 
@@ -22,7 +23,8 @@ def course(frame: pd.DataFrame, info: Mapping[str, Any], key: str, at: FloatArra
     time = np.append(frame["time"].to_numpy(float), 1.0)
     value = np.append(frame[key].to_numpy(float), frame[key].iloc[0])
     line = CubicSpline(time, value, bc_type="periodic")(at)
-    sd = spread(key, info["sd"][key], line - value[0], info.get("shrinkage"))
+    closed = info.get("closure_mm") is not None
+    sd = spread(key, info["sd"][key] * widened(at, closed), line - value[0], info.get("shrinkage"))
     if key != "volume_ml":
         sd = sd * np.clip(np.minimum(at, 1.0 - at) / max(time[1], 1e-3), 0.0, 1.0)
     return np.asarray(line), np.asarray(sd)

@@ -24,10 +24,11 @@ class AnnulusError:
         """Positions (f, n, 3) mm, the first at end-diastole, as they would be without the share."""
         return np.asarray(positions[0] + (positions - positions[0]) / (1.0 + self.share))
 
-    def at(self, displacement: FloatArray) -> float:
-        """Root mean square error (mm) of points that have moved by so much (n, 3) mm, the share undone."""
+    def at(self, displacement: FloatArray, widened: float = 1.0) -> float:
+        """Root mean square error (mm) of points that have moved by so much (n, 3) mm, the share undone; ``widened``: the factor
+        of the noise where a drift was corrected."""
         moved = self.sd * np.sqrt((displacement**2).sum(axis=1).mean())
-        return float(np.hypot(self.noise_mm, moved) / (1.0 + self.share))
+        return float(np.hypot(widened * self.noise_mm, moved) / (1.0 + self.share))
 
 
 def annulus_error(errors: Sequence[FloatArray], displacements: Sequence[FloatArray]) -> AnnulusError:

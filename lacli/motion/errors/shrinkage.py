@@ -86,7 +86,7 @@ def slope_of(errors: FloatArray, changes: FloatArray) -> tuple[float, float]:
     return slope, float((by_motion**2).sum()) / size**2 * m / max(m - 1, 1)
 
 
-def spread(key: str, sd: float, change: FloatArray, stated: Mapping[str, Mapping[str, float]] | None) -> FloatArray:
+def spread(key: str, sd: float | FloatArray, change: FloatArray, stated: Mapping[str, Mapping[str, float]] | None) -> FloatArray:
     """Standard deviation (in the feature's unit) where it has changed by so much since end-diastole; ``stated``: the shrinkage by
     kind, as in tracking.json, or None. The change is the corrected one."""
     part = (stated or {}).get(kind_of(key)[0], {"share": 0.0, "sd": 0.0})
