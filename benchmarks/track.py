@@ -56,7 +56,7 @@ def patient(folder: Path, seed: int, arguments: argparse.Namespace) -> dict[str,
     own = time.process_time() - start
     row = errors(tracked, point, positions, Endocardium.of(bundle))
     row |= {"seed": seed, "cpu_s": own + tracked.info["registration_cpu_s"], "wall_s": time.monotonic() - wall}
-    row |= {"peak_mb": tracked.info["peak_memory_mb"], "between": tracked.model.between}
+    row |= {"peak_mb": tracked.info["peak_memory_mb"], "between": float(np.mean(tracked.model.between))}
     row |= volume_error(tracked, folder)
     off = found.targets.mean - true_values(found.targets.names, folder)
     row["z"] = dict(zip(found.targets.names, (off / found.targets.sd).tolist(), strict=True))

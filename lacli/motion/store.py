@@ -24,6 +24,7 @@ from lacli.geometry.subdivision import straight
 from lacli.motion.annulus import annulus_points
 from lacli.motion.axes import nodal_axes
 from lacli.motion.errors.drift import widened
+from lacli.motion.errors.uncertainty import ErrorModel
 from lacli.motion.patient import Tracked
 from lacli.motion.phases import Phases
 from lacli.motion.targets import Covaried
@@ -142,10 +143,16 @@ def _errors(tracked: Tracked) -> dict[str, Any]:
         "known_motion": [{"time": time, **asdict(error)} for time, error in tracked.known],
         "ed_residual": None if tracked.ed_residual is None else asdict(tracked.ed_residual),
         "closure_mm": tracked.closure_mm,
-        "correlation_between_frames": tracked.model.between,
+        "correlation_between_frames": _between(tracked.model),
         "sd": dict(zip(tracked.model.keys, tracked.model.sd.tolist(), strict=True)),
         "shrinkage": _shrinkage(tracked),
     }
+
+
+def _between(model: ErrorModel) -> dict[str, float]:
+    """By kind of feature, how an error goes along between frames."""
+    by_key = np.broadcast_to(model.between, (len(model.keys),))
+    return {kind_of(key)[0]: float(value) for key, value in zip(model.keys, by_key, strict=True)}
 
 
 def _annulus(tracked: Tracked, positions: FloatArray) -> dict[str, float]:

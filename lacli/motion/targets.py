@@ -169,12 +169,15 @@ def measured(course: Course, model: ErrorModel, times: Sequence[float] | None = 
         between.append([missing[key] for key in keys])
     shared, own = frame_errors(course.times[1:], course.closed)
     w = np.array(weights)
-    over_time = model.between * np.outer(w @ shared, w @ shared) + (1.0 - model.between) * w @ own @ w.T
     sd = model.sd[column]
     if course.shrinkage is not None:
         sd = sd * course.shrinkage.undoing(keys)
-    within = model.correlation[np.ix_(column, column)] * np.outer(sd, sd)
-    covariance: FloatArray = np.asarray(np.kron(over_time, within), dtype=float)
+    common = np.broadcast_to(model.between, (len(model.keys),))[column]
+    correlation = model.correlation[np.ix_(column, column)]
+    covariance = np.zeros((len(names),) * 2)
+    # an error is one that all frames have and one of its own; keys go together in each as the correlation says
+    for over_time, part in ((np.outer(w @ shared, w @ shared), np.sqrt(common)), (w @ own @ w.T, np.sqrt(1.0 - common))):
+        covariance += np.kron(over_time, correlation * np.outer(sd * part, sd * part))
     for i, error in enumerate(between):
         # what lies between frames is unknown for all features together
         part = slice(i * len(keys), (i + 1) * len(keys))

@@ -28,12 +28,16 @@ SEED = 20260420
 # The applied motion is a tracked one, already as smooth as the engine makes it, and is found more easily than the true one was:
 # true errors over those of known motions, along the normal and tangential, of the training cases (docs/methods.md).
 EASIER = (1.9, 1.4)
+_NORMAL = ("n", "volume")  # kinds whose errors are of the normal; of others most is tangential
 _UNCORRELATED = 0.02
 _WINDOW = 5  # voxels of the local mean and variance
 _PRIOR_SAMPLES = 8.0
 # motions' worth of independence: few motions do not tell what combinations of errors are impossible (a correlation drawn towards
 # independence, as Schaefer, Strimmer 2005, Stat Appl Genet Mol Biol 4:32; figures in docs/methods.md)
 _APART = 2.0
+# of what known motions do not show (they are smooth as tracked ones are), taken for shared between frames: it may be all of it or
+# nothing, as of a motion whose error is stated
+_SHARED = 0.5
 
 
 @dataclass(frozen=True)
@@ -161,7 +165,7 @@ def chosen_frames(count: int, most: int) -> list[int]:
 
 @dataclass(frozen=True)
 class ErrorModel:
-    """Errors of features: sd by key, correlation (k, k) between keys of one frame, ``between`` frames (one number).
+    """Errors of features: sd by key, correlation (k, k) between keys of one frame, ``between`` frames (one number, or by key).
 
     ``shrinkage``, by key: what registration finds of a change, less the change, over it (-0.03: 3 % too little), and its sd.
     """
@@ -169,7 +173,7 @@ class ErrorModel:
     keys: tuple[str, ...]
     sd: FloatArray
     correlation: FloatArray
-    between: float
+    between: FloatArray | float
     samples: int
     shrinkage: Shrinkage | None = None
 
@@ -179,7 +183,8 @@ def error_model(errors: Sequence[Mapping[str, float]], changes: Sequence[Mapping
 
     With changes, the part of the errors that goes with them is the shrinkage, and the rest the error. A region's sd is drawn
     towards that of its kind over all regions, since few motions tell it. Correlations are means over regions and motions for
-    each two kinds, within a region and between two. What frames share is the mean product of one feature's errors in two motions.
+    each two kinds, within a region and between two. What frames share is, by kind, the mean product of one feature's errors in
+    two motions; of what known motions do not show it is a half.
     """
     keys = tuple(errors[0])
     e = np.array([[row[key] for key in keys] for row in errors])
@@ -202,12 +207,20 @@ def error_model(errors: Sequence[Mapping[str, float]], changes: Sequence[Mapping
     z = e / sd
     groups = Groups.of_features(keys, whole_with_all=True)
     correlation = groups.correlation(groups.means(z.T @ z / len(e)), len(e) / (len(e) + _APART))
-    between = 0.0
-    if len(e) > 1:
-        total = z.sum(axis=0)
-        pairs = (total**2 - (z**2).sum(axis=0)) / (len(e) * (len(e) - 1))
-        between = float(np.clip(pairs.mean(), 0.0, 0.95))
-    return ErrorModel(keys, sd, correlation, between, len(e), found)
+    return ErrorModel(keys, sd, correlation, _between(z, names), len(e), found)
+
+
+def _between(z: FloatArray, names: Sequence[str]) -> FloatArray:
+    """(k,): the correlation between frames of each key's error, one for all keys of a kind, from errors over their sd (m, k)."""
+    pairs = np.zeros(z.shape[1])
+    if len(z) > 1:
+        pairs = (z.sum(axis=0) ** 2 - (z**2).sum(axis=0)) / (len(z) * (len(z) - 1))
+    result = np.zeros(len(names))
+    for kind in set(names):
+        here = np.array([name == kind for name in names])
+        shown = 1.0 / EASIER[0 if kind in _NORMAL else 1] ** 2
+        result[here] = shown * np.clip(pairs[here].mean(), 0.0, 0.95) + (1.0 - shown) * _SHARED
+    return result
 
 
 def stated_model(surface: Endocardium, normal_mm: float, tangential_mm: float) -> ErrorModel:
@@ -230,7 +243,7 @@ def stated_model(surface: Endocardium, normal_mm: float, tangential_mm: float) -
             sd.append(
                 {"n": normal_mm, "a": tangential_mm, "b": tangential_mm}.get(kind, float(np.hypot(normal_mm, tangential_mm)))
             )
-    return ErrorModel(keys, np.array(sd), np.eye(len(keys)), 0.5, 0)
+    return ErrorModel(keys, np.array(sd), np.eye(len(keys)), _SHARED, 0)
 
 
 def stated_error(normal_mm: float, tangential_mm: float) -> SurfaceError:
