@@ -163,9 +163,7 @@ def differences(folder: Path, rows: list[dict[str, Any]], finest_mm: float) -> l
             size = scale(name, moved[name.partition("@")[2]], where)
             if size > 0.0:
                 found.append(
-                    Difference(
-                        row["seed"], name, where, value - best[row["seed"]][name], size, row["cell_size_mm"], reference.h_mm
-                    )
+                    Difference(row["seed"], name, where, value - best[row["seed"]][name], size, row["cell_size_mm"], reference)
                 )
     return found
 

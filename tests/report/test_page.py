@@ -126,7 +126,7 @@ def test_the_page_of_a_run(run: Path, tmp_path: Path) -> None:
     assert {f.suffix for f in made.figures.iterdir()} == {".png", ".pdf", ".svg"}
     for words in (
         "134.8",
-        "not stable: 2 ways",
+        "no stable equilibrium: 2 ways",
         "3 at 0.2 RR",
         "No discretisation error is known",
         "Wall thickness is not shown",

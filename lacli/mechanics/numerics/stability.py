@@ -1,4 +1,4 @@
-"""Frames that are no stable equilibria, where a run tells it: those between end-diastole and end-systole, and of the conduit.
+"""States that are no stable equilibria, where a run tells it: frames between end-diastole and end-systole, and of the conduit.
 
 End-diastole and end-systole are checked in every run, a frame where its derivatives are asked for. Elsewhere the check would cost
 a factorisation a frame: 3 % of the CPU time of a linear atrium of 8 mm cells with four frames, 6 - 16 % of a quadratic one.
@@ -6,6 +6,7 @@ a factorisation a frame: 3 % of the CPU time of a linear atrium of 8 mm cells wi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -27,9 +28,22 @@ def told(case: Case, results: Results) -> dict[str, Any]:
 
 
 def said_of(features: Mapping[str, Any]) -> str:
-    """What a user is told of a run with unstable frames; '' where none is known to be."""
+    """What a user is told of a run whose end-diastole, end-systole or frames are no stable equilibria; '' where none is known."""
+    said = []
+    if (modes := _count(features.get("ed_unstable_modes"))) > 0:
+        said.append(
+            f"The image's shape is no stable equilibrium under pressure alone: {modes} ways out of it, most of them where its "
+            "outer surface is concave. Errors of discretisation may be twice those stated and more; end-systole and frames "
+            "seldom hang on which way is taken. Springs on dents (pericardium.dents) hold them as neighbours would."
+        )
+    if (modes := _count(features.get("es_unstable_modes"))) > 0:
+        said.append(f"End-systole is no stable equilibrium: {modes} ways out of it.")
     stated = features.get(UNSTABLE_FRAMES)
-    if not isinstance(stated, Mapping) or not stated:
-        return ""
-    ways = ", ".join(f"{modes} at {time} RR" for time, modes in stated.items())
-    return f"Frames that are no stable equilibria, with so many ways out of them: {ways}. The wall would leave them."
+    if isinstance(stated, Mapping) and stated:
+        ways = ", ".join(f"{modes} at {time} RR" for time, modes in stated.items())
+        said.append(f"Frames that are no stable equilibria, with so many ways out of them: {ways}. The wall would leave them.")
+    return " ".join(said)
+
+
+def _count(modes: Any) -> int:
+    return int(modes) if isinstance(modes, (int, float)) and math.isfinite(modes) else 0

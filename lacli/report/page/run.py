@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -197,9 +196,5 @@ def _doubts(run: Run) -> tuple[str, ...]:
         said.append(f"No discretisation error is shown: {run.changed} Simulate the scene anew.")
     elif not run.features.get("discretisation_error"):
         said.append(f"No discretisation error is known: the bundle {run.scene.anatomy.bundle} cannot be read any more.")
-    for key, name in (("ed_unstable_modes", "end-diastole"), ("es_unstable_modes", "end-systole")):
-        modes = run.features.get(key)
-        if isinstance(modes, (int, float)) and math.isfinite(modes) and modes > 0:
-            said.append(f"The equilibrium at {name} is not stable: {modes:g} ways out of it.")
     said += [words for of in (equilibria, stability) if (words := of.said_of(run.features))]
     return tuple(said)
