@@ -21,6 +21,7 @@ from lacli.motion.annulus import annulus_points
 from lacli.motion.axes import nodal_axes
 from lacli.motion.errors import uncertainty
 from lacli.motion.errors.ring import AnnulusError, annulus_error
+from lacli.motion.errors.stated import stated_error, stated_model
 from lacli.motion.errors.uncertainty import ErrorModel, SurfaceError
 from lacli.motion.frames import Source
 from lacli.motion.registration import ENGINES
@@ -166,8 +167,8 @@ def from_given(bundle: Bundle, times: FloatArray, displacement: FloatArray, erro
         left = displacement[-1]
         closure = float(np.linalg.norm(left, axis=1).mean())
         displacement, times = (displacement - times[:, None, None] * left)[:-1], times[:-1]
-    stated = uncertainty.stated_error(*error_mm)
-    model = uncertainty.stated_model(surface, *error_mm)
+    course = Course.of(surface, times, displacement, closure is not None)
+    model = stated_model(bundle, course, *error_mm)
     info = {
         "engine": f"given {how}",
         "error": "stated, not measured",
@@ -175,4 +176,4 @@ def from_given(bundle: Bundle, times: FloatArray, displacement: FloatArray, erro
         "error_tangential_mm": error_mm[1],
     }
     annulus = AnnulusError(0.0, 0.0, float(np.hypot(*error_mm)))
-    return Tracked(Course.of(surface, times, displacement, closure is not None), model, [], stated, closure, annulus, info)
+    return Tracked(course, model, [], stated_error(*error_mm), closure, annulus, info)

@@ -22,6 +22,7 @@ from lacli.contracts.targets import Targets, read_targets
 from lacli.inference.sampling.likelihood import gaussian_log_likelihood
 from lacli.motion import given as given_motion
 from lacli.motion.errors import uncertainty
+from lacli.motion.errors.stated import stated_model
 from lacli.motion.field import Field, write_field
 from lacli.motion.patient import from_given, smoothed
 from lacli.motion.phases import phases_of
@@ -147,7 +148,7 @@ def test_surface_error_splits_a_shift_along_the_normal_from_one_along_the_wall(b
 def test_targets_have_the_features_of_the_motion_and_a_proper_covariance(bundle: Bundle, surface: Endocardium) -> None:
     times = np.arange(8) / 8
     course = Course.of(surface, times, grown(bundle, times))
-    model = uncertainty.stated_model(surface, 0.2, 0.4)
+    model = stated_model(bundle, course, 0.2, 0.4)
     found = measured(course, model)
     value = dict(zip(found.targets.names, found.targets.mean, strict=True))
     assert course.phases.es == pytest.approx(0.5, abs=1e-6)
@@ -165,7 +166,7 @@ def test_targets_have_the_features_of_the_motion_and_a_proper_covariance(bundle:
 def test_what_lies_between_frames_is_less_certain(bundle: Bundle, surface: Endocardium) -> None:
     times = np.arange(4) / 4
     course = Course.of(surface, times, grown(bundle, times))
-    model = uncertainty.stated_model(surface, 0.1, 0.1)
+    model = stated_model(bundle, course, 0.1, 0.1)
     found = measured(course, model, [0.25, 0.4])
     sd = dict(zip(found.targets.names, found.targets.sd, strict=True))
     assert sd["d_roof_mm@0.4"] > sd["d_roof_mm@0.25"]

@@ -37,7 +37,7 @@ _PRIOR_SAMPLES = 8.0
 _APART = 2.0
 # of what known motions do not show (they are smooth as tracked ones are), taken for shared between frames: it may be all of it or
 # nothing, as of a motion whose error is stated
-_SHARED = 0.5
+SHARED = 0.5
 
 
 @dataclass(frozen=True)
@@ -219,35 +219,5 @@ def _between(z: FloatArray, names: Sequence[str]) -> FloatArray:
     for kind in set(names):
         here = np.array([name == kind for name in names])
         shown = 1.0 / EASIER[0 if kind in _NORMAL else 1] ** 2
-        result[here] = shown * np.clip(pairs[here].mean(), 0.0, 0.95) + (1.0 - shown) * _SHARED
+        result[here] = shown * np.clip(pairs[here].mean(), 0.0, 0.95) + (1.0 - shown) * SHARED
     return result
-
-
-def stated_model(surface: Endocardium, normal_mm: float, tangential_mm: float) -> ErrorModel:
-    """For a motion whose error is stated, not measured: sd along the normal and along each tangent, mm, taken as one shift of a
-    whole region (the worst case for its means), independent between regions, half shared between frames.
-
-    Strains err by the tangential sd at both ends of a region, over the root of its area.
-    """
-    keys = tuple(surface.features(surface.ed))
-    area = {name: float(surface.area[surface.region == number].sum()) for name, number in REGIONS.items()}
-    whole = float(surface.area.sum())
-    sd = []
-    for key in keys:
-        kind, region = kind_of(key)
-        if kind == "volume":
-            sd.append(normal_mm * whole / 1000.0)  # mm3 -> mL
-        elif kind.endswith("strain"):
-            sd.append(2.0**0.5 * tangential_mm / np.sqrt(area[region]) * (2.0 if kind == "area_strain" else 1.0))
-        else:
-            sd.append(
-                {"n": normal_mm, "a": tangential_mm, "b": tangential_mm}.get(kind, float(np.hypot(normal_mm, tangential_mm)))
-            )
-    return ErrorModel(keys, np.array(sd), np.eye(len(keys)), _SHARED, 0)
-
-
-def stated_error(normal_mm: float, tangential_mm: float) -> SurfaceError:
-    """The same error everywhere."""
-    names = ("global", *REGIONS)
-    both = float(np.hypot(normal_mm, tangential_mm))
-    return SurfaceError(dict.fromkeys(names, both), dict.fromkeys(names, normal_mm), dict.fromkeys(names, tangential_mm))
