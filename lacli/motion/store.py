@@ -168,11 +168,13 @@ def _annulus(tracked: Tracked, positions: FloatArray) -> dict[str, float]:
 
 def _shrinkage(tracked: Tracked) -> dict[str, dict[str, float]] | None:
     """By kind of feature: the share of a change that registration finds too much, which targets and transients no longer have,
-    and its sd."""
+    its sd, and the sd by which a region's own differs from it."""
     found = tracked.model.shrinkage
     if found is None:
         return None
     return {
-        kind_of(key)[0]: {"share": float(share), "sd": float(sd)}
-        for key, share, sd in zip(found.keys, found.share, found.sd, strict=True)
+        kind_of(key)[0]: {"share": float(share), "sd": float(sd), "regional": float(regional)}
+        for key, share, sd, regional in zip(
+            found.keys, found.share, found.sd, np.broadcast_to(found.regional, (len(found.keys),)), strict=True
+        )
     }

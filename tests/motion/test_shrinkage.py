@@ -54,6 +54,24 @@ def test_one_share_s_error_moves_its_targets_together() -> None:
     assert group_of("volume_ml") == group_of("n_roof_mm") != group_of("d_global_mm") == group_of("d_roof_mm")
 
 
+def test_a_region_that_loses_more_than_others_is_an_error_of_its_own_in_all_frames() -> None:
+    keys = ("n_roof_mm", "n_septum_mm")
+    # the roof loses a tenth in every motion, the septum nothing: 5 % together, and .1 / sqrt(2) apart
+    changes = np.array([[2.0, 2.0], [4.0, 4.0], [3.0, 3.0]])
+    found = shrinkage_of(keys, changes * [-0.1, 0.0], changes)
+    assert found.share == pytest.approx([-0.05, -0.05])
+    assert found.regional == pytest.approx([0.1 / np.sqrt(2.0)] * 2)
+    covariance = found.covariance(("n_roof_mm", "n_roof_mm", "n_septum_mm"), np.array([2.0, 4.0, 4.0]))
+    shared = found.sd[0] ** 2 * np.outer([2, 4, 4], [2, 4, 4])
+    own = 0.005 * np.array([[4, 8, 0], [8, 16, 0], [0, 0, 16]])
+    assert covariance == pytest.approx((shared + own) / 0.95**2)
+    # as much as the slopes' own errors make is none between regions
+    rng = np.random.default_rng(2)
+    apart = [shrinkage_of(keys, 0.1 * rng.normal(size=(5, 2)), rng.uniform(2, 4, (5, 2))).regional for _ in range(300)]
+    assert np.mean(np.square(apart)) < 2.5e-4
+    assert spread("n_roof_mm", 0.3, np.array([4.0]), {"n": {"share": 0.0, "sd": 0.0, "regional": 0.1}}) == pytest.approx([0.5])
+
+
 def test_a_band_widens_with_the_change() -> None:
     stated = {"volume": {"share": -0.03, "sd": 0.01}}
     # noise and share are of what was tracked, 3 % too little

@@ -29,11 +29,13 @@ def group_of(key: str) -> str:
 
 @dataclass(frozen=True)
 class Shrinkage:
-    """By key (k,): ``share`` of a change that is found too much (negative: too little), and its sd."""
+    """By key (k,): ``share`` of a change that is found too much (negative: too little), and its sd; ``regional``: the sd by which
+    a region's own share differs from that of its kind, in all frames alike."""
 
     keys: tuple[str, ...]
     share: FloatArray
     sd: FloatArray
+    regional: FloatArray | float = 0.0
 
     def undoing(self, keys: Sequence[str]) -> FloatArray:
         """(p,): what a change of each key, and its error, is multiplied with."""
@@ -46,24 +48,45 @@ class Shrinkage:
         return {key: ed[key] + (value - ed[key]) / (1.0 + share.get(key, 0.0)) for key, value in row.items()}
 
     def covariance(self, keys: Sequence[str], changes: FloatArray) -> FloatArray:
-        """(p, p) of targets of these keys whose changes (p,) were corrected: all that one group's share moves together."""
-        sd = dict(zip(self.keys, self.sd.tolist(), strict=True))
-        moved = np.array([sd.get(key, 0.0) for key in keys]) * changes * self.undoing(keys)
-        groups = np.array([group_of(key) for key in keys])
-        return np.where(groups[:, None] == groups[None], np.outer(moved, moved), 0.0)
+        """(p, p) of targets of these keys whose changes (p,) were corrected: all that one group's share moves together, and each
+        feature in all frames what its region's own share does."""
+        total = np.zeros((len(keys),) * 2)
+        own = np.broadcast_to(self.regional, (len(self.keys),))
+        for size, names in ((self.sd, [group_of(key) for key in keys]), (own, list(keys))):
+            sd = dict(zip(self.keys, size.tolist(), strict=True))
+            moved = np.array([sd.get(key, 0.0) for key in keys]) * changes * self.undoing(keys)
+            name = np.array(names)
+            total += np.where(name[:, None] == name[None], np.outer(moved, moved), 0.0)
+        return total
 
 
 def shrinkage_of(keys: Sequence[str], errors: FloatArray, changes: FloatArray) -> Shrinkage:
     """From errors and changes (m, k) of features in known motions: by kind, the slope of the errors on the changes.
 
     Its sd has the slope's own, motions being independent, and half of the slope, since known motions are easier than true ones.
+    Regions have slopes of their own: by how much more these differ than their errors make them is ``regional``.
     """
     kinds = np.array([kind_of(key)[0] for key in keys])
-    share, sd = np.zeros(len(keys)), np.zeros(len(keys))
+    share, sd, regional = np.zeros(len(keys)), np.zeros(len(keys)), np.zeros(len(keys))
     for kind in set(kinds.tolist()):
         here = kinds == kind
         share[here], sd[here] = share_of(errors[:, here], changes[:, here])
-    return Shrinkage(tuple(keys), share, sd)
+        regional[here] = _apart(errors[:, here], changes[:, here])
+    return Shrinkage(tuple(keys), share, sd, regional)
+
+
+def _apart(errors: FloatArray, changes: FloatArray) -> float:
+    """The sd between regions of the slopes of errors on changes (m, r), less what the slopes' own errors make of it."""
+    seen = [k for k in range(changes.shape[1]) if changes[:, k].any()]
+    if len(seen) < 2:
+        return 0.0
+    slope, variance = np.array([slope_of(errors[:, [k]], changes[:, [k]]) for k in seen]).T
+    # a region that hardly moves tells little of its share, and little hangs on it
+    weight = (changes[:, seen] ** 2).sum(axis=0)
+    weight = weight / weight.sum()
+    middle = float(weight @ slope)
+    excess = float(weight @ (slope - middle) ** 2) / max(1.0 - float(weight @ weight), 1e-9) - float(weight @ variance)
+    return float(min(np.sqrt(max(excess, 0.0)), _MOST))
 
 
 def share_of(errors: FloatArray, changes: FloatArray) -> tuple[float, float]:
@@ -90,4 +113,6 @@ def spread(key: str, sd: float | FloatArray, change: FloatArray, stated: Mapping
     """Standard deviation (in the feature's unit) where it has changed by so much since end-diastole; ``stated``: the shrinkage by
     kind, as in tracking.json, or None. The change is the corrected one."""
     part = (stated or {}).get(kind_of(key)[0], {"share": 0.0, "sd": 0.0})
-    return np.asarray(np.hypot(sd, part["sd"] * np.asarray(change, dtype=float)) / (1.0 + part["share"]))
+    return np.asarray(
+        np.hypot(sd, np.hypot(part["sd"], part.get("regional", 0.0)) * np.asarray(change, dtype=float)) / (1.0 + part["share"])
+    )
