@@ -22,3 +22,18 @@ def nodal_axes(bundle: Bundle, surface: Endocardium) -> dict[str, FloatArray]:
         size = np.linalg.norm(total, axis=1, keepdims=True)
         result[name] = np.divide(total, size, out=np.zeros_like(total), where=size > 0)
     return result
+
+
+def wall_normals(bundle: Bundle, surface: Endocardium) -> FloatArray:
+    """Unit normals (n, 3) at the points of the cavity's whole surface: the endocardium's, and inside valve planes the planes'
+    own; 0 elsewhere."""
+    normal = nodal_axes(bundle, surface)["normal"]
+    corner = surface.ed[surface.closed[:, :3]]
+    # out of the cavity, as the endocardium's; faces of the bundle look into it
+    vector = -np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    total = np.zeros_like(normal)
+    for column in surface.closed.T:
+        np.add.at(total, column, vector)
+    size = np.linalg.norm(total, axis=1, keepdims=True)
+    plane = np.divide(total, size, out=np.zeros_like(total), where=size > 0)
+    return np.where(normal.any(axis=1, keepdims=True), normal, plane)

@@ -18,7 +18,7 @@ from lacli.contracts.bundle import Bundle
 from lacli.motion import frames as framing
 from lacli.motion import tracking
 from lacli.motion.annulus import annulus_points
-from lacli.motion.axes import nodal_axes
+from lacli.motion.axes import wall_normals
 from lacli.motion.errors import uncertainty
 from lacli.motion.errors.ring import AnnulusError, annulus_error
 from lacli.motion.errors.stated import stated_error, stated_model
@@ -100,7 +100,7 @@ def track(
         [k.pair for k in known], settings.engine, folder, settings.workers, monitor, "measuring the error by known motion"
     )
     found = [f.at(bundle.points) for f in again.fields]
-    normal = nodal_axes(bundle, surface)["normal"]
+    normal = wall_normals(bundle, surface)
     ring = annulus_points(bundle)
     errors, changes, by_frame, at_ring = [], [], [], []
     for i, k, u in zip(chosen, known[1:], found[1:], strict=True):
