@@ -15,7 +15,7 @@ from lacli.motion import frames as framing
 from lacli.motion.frames import Source
 from lacli.motion.given import displacement
 from lacli.motion.patient import Settings, Tracked, from_given, put, scratch, track
-from lacli.motion.store import write_all
+from lacli.motion.store import PICTURES, write_all
 from lacli.motion.targets import Covaried, measured, published
 from lacli.motion.tracking import Monitor
 
@@ -76,6 +76,9 @@ def write(
     partial = scratch(folder)
     try:
         info = write_all(partial, anatomy, tracked, found, notes)
+        if (folder / "tracking.json").is_file():
+            for name in PICTURES:  # of the former motion: whether this one is drawn is seen later
+                (folder / name).unlink(missing_ok=True)
         put(partial, folder)
     finally:
         shutil.rmtree(partial, ignore_errors=True)

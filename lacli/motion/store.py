@@ -30,6 +30,8 @@ from lacli.motion.phases import Phases
 from lacli.motion.targets import Covaried
 
 COVARIANCE = "targets_covariance.npz"
+# drawn later, of what is written here
+PICTURES = ("transients.png", "surfaces.png", "slices.png", "motion.gif")
 _PRODUCTS = ("motion.npz", "transients.csv", "targets.toml", COVARIANCE, "frames")
 
 

@@ -21,9 +21,10 @@ from lacli.base.documents import read_json
 from lacli.base.errors import LacliError
 from lacli.base.files import replacing
 from lacli.contracts.labels import BODY_REGIONS, REGION_COLOURS
+from lacli.motion.store import PICTURES
 from lacli.report.style import paper
 
-TRANSIENTS, SURFACES, SLICES, ANIMATION = "transients.png", "surfaces.png", "slices.png", "motion.gif"
+TRANSIENTS, SURFACES, SLICES, ANIMATION = PICTURES
 _COMPONENTS = {
     "d_{}_mm": "|u| (mm)",
     "n_{}_mm": "normal (mm)",
@@ -113,7 +114,9 @@ def _shade(axes: Any, phases: dict[str, float]) -> None:
 
 
 def _series(folder: Path) -> list[Any]:
-    return [vtkxml.read(path) for path in sorted((folder / "frames").glob("frame_*.vtp"))]
+    from lacli.motion.frames import by_number
+
+    return [vtkxml.read(path) for path in by_number((folder / "frames").glob("frame_*.vtp"))]
 
 
 def _es_frame(folder: Path) -> int:

@@ -18,9 +18,12 @@ from lacli.contracts.priors import read_prior_file
 from lacli.contracts.targets import read_targets
 from lacli.motion.errors.ring import AnnulusError
 from lacli.motion.errors.uncertainty import ErrorModel
+from lacli.motion.measured import write
 from lacli.motion.patient import Tracked
 from lacli.motion.store import COVARIANCE, check_replaceable, write_covaried, write_series
 from lacli.motion.targets import Course, measured
+from lacli.report import motion_figures
+from lacli.synthetic.atrium import synthesize
 
 TIMES = np.array([0.0, 0.2, 0.4, 0.6, 0.8])
 STRETCH = 1.0 + 0.1 * np.sin(np.pi * TIMES / 0.8)
@@ -79,3 +82,27 @@ def test_only_what_tracking_wrote_is_replaced(tmp_path: Path) -> None:
         check_replaceable(tmp_path)
     (tmp_path / "tracking.json").write_text("{}")
     check_replaceable(tmp_path)
+
+
+def test_pictures_of_a_former_motion_do_not_stay_beside_a_new_one(tmp_path: Path) -> None:
+    bundle, _ = synthesize(1, 40.0, cell_size_mm=9.0)
+    course = Course.of(Endocardium.of(bundle), TIMES, (STRETCH[:, None, None] - 1.0) * bundle.points)
+    keys = tuple(course.features[0])
+    model = ErrorModel(keys, np.full(len(keys), 0.2), np.eye(len(keys)), 0.3, 5)
+    info = {"engine": "greedy", "error_normal_mm": 0.2, "error_tangential_mm": 0.2}
+    tracked = Tracked(course, model, [], None, None, AnnulusError(0.0, 0.0, 0.1), info)
+    folder = tmp_path / "motion"
+    folder.mkdir()
+    (folder / "slices.png").write_bytes(b"somebody's")
+    for kept in (True, False):  # what stood there before the first motion is not tracking's
+        write(folder, tmp_path / "bundle", bundle, tracked, measured(course, model), {}, False)
+        assert (folder / "slices.png").exists() == kept
+        (folder / "notes.txt").write_text("mine")
+    assert (folder / "notes.txt").exists() and (folder / "frames" / "series.pvd").exists()
+
+
+def test_frames_are_drawn_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    (tmp_path / "frames").mkdir()
+    for number in (100, 11, 9, 10):
+        pv.PolyData(np.array([[float(number), 0.0, 0.0]])).save(tmp_path / "frames" / f"frame_{number:02d}.vtp")
+    assert [mesh.points[0, 0] for mesh in motion_figures._series(tmp_path)] == [9.0, 10.0, 11.0, 100.0]
