@@ -11,6 +11,7 @@ from scipy import ndimage
 from lacli.anatomy.inputs.image import Image
 from lacli.anatomy.segmentation.road import Segmented
 from lacli.anatomy.segmentation.wall import NEIGHBOUR, UNCLEAR
+from lacli.base.arrays import FloatArray
 from lacli.report.style import paper
 
 COLOURS = {"blood": "#D55E00", "wall": "#F0E442", "fat": "#56B4E9", "neighbour": "#CC79A7", "unclear": "#009E73"}
@@ -46,6 +47,15 @@ def slices(ct: Image, found: Segmented, picture: Path) -> Path:
     return picture
 
 
+def turned(right: FloatArray, up: FloatArray) -> tuple[bool, bool]:
+    """Whether a slice whose axes go along these unit vectors (3,) (LPS) is to be mirrored across, and turned upside down, so that
+    the left and the back of the patient are on the right, the head above and, where none is, the front."""
+    across, along = (int(np.argmax(np.abs(axis))) for axis in (right, up))
+    # downwards to the back and to the left, upwards to the head
+    wanted = 1.0 if along == 2 else -1.0
+    return bool(right[across] < 0.0), bool(up[along] * wanted < 0.0)
+
+
 def _slice(axis_: Any, ct: Image, found: Segmented, axis: int, at: int) -> None:
     labels, numbers = found.labels, found.numbers
     piece = np.take(labels.array, at, axis=axis)
@@ -71,5 +81,10 @@ def _slice(axis_: Any, ct: Image, found: Segmented, axis: int, at: int) -> None:
             near = np.abs(place[:, axis] - at) * labels.spacing[0] < 0.8
             axis_.plot(place[near][:, others[1]], place[near][:, others[0]], ".", color=COLOURS[name], markersize=2.5)
     way = _NAMES[int(np.argmax(np.abs(labels.direction[:, 2 - axis])))]
+    across, down = turned(labels.direction[:, 2 - others[1]], labels.direction[:, 2 - others[0]])
+    if across:
+        axis_.invert_xaxis()
+    if down:
+        axis_.invert_yaxis()
     axis_.set_title(f"{way}, slice {at}", fontsize=7)
     axis_.set_axis_off()

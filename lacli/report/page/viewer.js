@@ -74,7 +74,7 @@ function atrium(root, data) {
     root.querySelector(".low").textContent = f.values ? f.low.toPrecision(3) : "";
     root.querySelector(".high").textContent = f.values ? f.high.toPrecision(3) + " " + f.unit : "";
     root.querySelector(".bar").style.visibility = f.values ? "visible" : "hidden";
-    told.textContent = state.region ? name + (f.means && f.means[name] != null ? ": " + f.means[name].toPrecision(3) + " " + f.unit + " (mean)" : "")
+    told.textContent = state.region ? name + (f.means && f.means[name] != null ? ": " + f.means[name].toPrecision(3) + " " + f.unit + " (mean over the points drawn)" : "")
       : "Drag or arrow keys turn, the wheel zooms, a click picks a region.";
   }
   function choose(field) {
