@@ -29,7 +29,7 @@ from lacli.contracts.scene import Scene
 # a number for each kind of kept thing: raised when what is kept is made in another way, so that nothing old is taken for new;
 # "runs" also when a scene's plan changes (lacli/mechanics/plan.py), which the deck and the libraries do not tell
 METHODS: dict[str, int] = {
-    "runs": 3, "calibration": 6, "emulators": 1, "region": 2, "chain": 4, "accuracy": 4, "figures": 1, "result": 1,
+    "runs": 3, "calibration": 7, "emulators": 1, "region": 2, "chain": 4, "accuracy": 4, "figures": 1, "result": 1,
     # of a study's steps alone, whose marks have all numbers
     "anatomy": 5, "motion": 5, "comparison": 5,
 }  # fmt: skip
