@@ -73,7 +73,9 @@ def _tracking(path: Path) -> tuple[dict[str, float], float, dict[str, dict[str, 
     if wrong := next((name for name, value in sd.items() if not _is_number(value)), None):
         raise InputError(f"{path}: sd.{wrong} is {brief(sd[wrong])}, not a number; track again.")
     parts = shrinkage.values() if isinstance(shrinkage, dict) else () if shrinkage is None else (None,)
-    if not all(isinstance(part, dict) and _is_number(part.get("sd")) and _is_number(part.get("share")) for part in parts):
+    # without ``regional`` where an older version tracked
+    told = ({"regional": 0.0, **part} if isinstance(part, dict) else {} for part in parts)
+    if not all(_is_number(part.get(name)) for part in told for name in ("sd", "share", "regional")):
         raise InputError(f"{path}: its shrinkage is damaged; track again.")
     return {name: float(value) for name, value in sd.items()}, float(phases["es"]), shrinkage, info.get("closure_mm") is not None
 
