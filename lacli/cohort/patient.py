@@ -10,6 +10,7 @@ import numpy as np
 
 from lacli.base.documents import read_json
 from lacli.base.errors import InputError, UsageError
+from lacli.calibration.annulus import read_effects, with_annulus
 from lacli.cohort.comparison import REGIONAL, Model
 from lacli.contracts.identity import of_own_runs
 from lacli.contracts.targets import Targets
@@ -31,14 +32,15 @@ def read_result(folder: Path) -> Mapping[str, Any]:
 
 
 def held_against(folder: Path, targets: Targets) -> Targets:
-    """The targets as that calibration was held against them: with the discretisation errors that it added. Raises InputError.
+    """The targets as that calibration was held against them: with the errors that it added, of its tracked annulus and of
+    discretisation. Raises InputError.
 
     Those that it left out (of frames whose states the runs do not settle) are left out here too: no error that they would need is
     known, so that they would count for more than all others, and the runs do not foretell them.
     """
     result = read_result(folder)
     features = {str(row["feature"]) for row in result["fit"]}
-    targets = targets.select([name for name in targets.names if name in features])
+    targets = with_annulus(targets.select([name for name in targets.names if name in features]), read_effects(folder))
     errors = discretisation(result, targets)
     if not any(errors.values()):
         return targets.with_errors_times(_factor(result))

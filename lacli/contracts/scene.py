@@ -62,6 +62,11 @@ class Scene(Section):
                 f"numerics.settle_ed would do nothing where {why}: what settles is a wall that holds EDP by its prestrain; "
                 "leave numerics.settle_ed out"
             )
+        if self.motion.annulus_times != 1.0 and self.motion.annulus != "bundle":
+            raise ValueError(
+                f'motion.annulus_times would do nothing where motion.annulus is "{self.motion.annulus}": it is of the frames '
+                "of the bundle; leave motion.annulus_times out"
+            )
         if self.outputs.conduit and self.outputs.times:
             raise ValueError(
                 "outputs.conduit would do nothing beside outputs.times, which name all frames: those after end-systole are its "

@@ -5,16 +5,21 @@ Files: ``motion.npz`` in a bundle's folder with times (f,), wall_point (n,), pos
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from lacli.base.arrays import IntArray
 from lacli.base.errors import AnatomyError, InputError
+from lacli.base.schema import Array, array_file
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.labels import RINGS
-from lacli.contracts.motion import Motion, load_motion
+from lacli.contracts.motion import FILE, Motion, load_motion
 from lacli.contracts.sections import MotionSettings
+
+ERROR = "annulus_error_mm"  # array of motion.npz: root mean square error of the tracked annulus's points at end-systole
+MOST = 0.5  # of the displacement: a motion that is known to no more is none
 
 
 def annulus_points(bundle: Bundle) -> IntArray:
@@ -90,4 +95,22 @@ def asked_motion(settings: MotionSettings, bundle: Bundle, folder: Path) -> Moti
     gap = float(np.abs(motion.positions[0] - bundle.points[motion.wall_point]).max())
     if gap > 1e-3:
         raise AnatomyError(f"{folder}/motion.npz: its first frame is {gap:.3g} mm away from the bundle's geometry.")
-    return motion
+    if settings.annulus_times == 1.0:
+        return motion
+    return replace(motion, positions=motion.positions[0] + settings.annulus_times * motion.displacement())
+
+
+def known_error(folder: Path) -> float | None:
+    """The share of its displacement at end-systole that the annulus of a bundle's ``motion.npz`` is known to (a standard
+    deviation); None where the file tells no error, as that of a motion which was not tracked.
+
+    Raises InputError where it is missing or damaged.
+    """
+    motion = load_motion(folder)
+    with array_file(folder / FILE, "a motion", "Write the bundle again.") as arrays:
+        if ERROR not in arrays.names:
+            return None
+        error = float(arrays.read({ERROR: Array(least=0.0)})[ERROR])
+    moved = motion.displacement()[int(np.argmin(np.abs(motion.times - motion.es_time)))]
+    length = float(np.sqrt((moved**2).sum(axis=1).mean()))
+    return min(error / length, MOST) if length > 0.0 else None

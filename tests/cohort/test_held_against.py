@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lacli.base.errors import InputError
+from lacli.calibration.annulus import with_annulus, write_effects
 from lacli.cohort.patient import held_against
 from lacli.contracts.targets import Targets
 from lacli.mechanics.numerics.error_correlation import correlation
@@ -30,6 +32,29 @@ def test_a_comparison_is_held_against_what_the_calibration_was(tmp_path: Path) -
     # of the roof .09 + 4 (.04 + .01), by hand
     assert found.sd[0] == pytest.approx(np.sqrt(0.29))
     assert found.covariance == pytest.approx(held.covariance)
+
+
+def test_the_error_of_a_tracked_annulus_is_part_of_it(tmp_path: Path) -> None:
+    """It has one sign for each target, which discretisation errors have not."""
+    names, effects = ("n_roof_mm", "b_septum_mm"), {"n_roof_mm": 0.3, "b_septum_mm": -0.6}
+    given = Targets(names, np.array([1.0, 2.0]), np.array([0.3, 0.4]))
+    held = with_annulus(given, effects).widened({"n_roof_mm": 0.1, "b_septum_mm": 0.2}, correlation(names, given.mean, 1))
+    fit = [
+        {"feature": name, "target": m, "sd": s, "own_sd": o}
+        for name, m, s, o in zip(names, given.mean.tolist(), held.sd.tolist(), held.own_sd.tolist(), strict=True)
+    ]
+    (tmp_path / "result.json").write_text(json.dumps({"method": "sequential", "fit": fit}))
+    (tmp_path / "calibration.json").write_text(json.dumps({"content": {"runs.numerics.order": 1}}))
+    write_effects(tmp_path, effects)
+    found = held_against(tmp_path, given)
+    assert found.covariance == pytest.approx(held.covariance)
+    together = correlation(names, given.mean, 1)[0, 1]
+    assert found.covariance is not None and found.covariance[0, 1] == pytest.approx(-0.18 + 0.02 * together)
+    write_effects(tmp_path, {})
+    assert held_against(tmp_path, given).covariance != pytest.approx(held.covariance), "nothing of an earlier one stays"
+    (tmp_path / "annulus.json").write_text('{"n_roof_mm": "much"}')
+    with pytest.raises(InputError, match="a finite number for each target"):
+        held_against(tmp_path, given)
 
 
 def test_targets_that_were_left_out_have_no_part_in_it(tmp_path: Path) -> None:

@@ -128,6 +128,7 @@ class _Job:
 def _prepared(scene: Scene, targets: Targets, folder: Path, settings: Settings | None, work: Work) -> _Job:
     """What is run, held against what, where."""
     from lacli.base.files import check_folder
+    from lacli.calibration.annulus import annulus_effects, with_annulus, write_effects
     from lacli.calibration.calibration import obstacle
     from lacli.calibration.sequential.calibration import sequential_identity
     from lacli.calibration.sequential.fidelity.companion import companion
@@ -154,6 +155,13 @@ def _prepared(scene: Scene, targets: Targets, folder: Path, settings: Settings |
         for one, _ in kinds
     ]
     made = [runs_identity(run, box.names, targets.names) for run in runs]
+    effects, words = annulus_effects(
+        kinds[-1][0], box, targets, lambda one: simulator(
+            one, work.store or folder / RUNS, 1, work.scheduler, targets=framed, sensitivities=False, discretisation=False
+        )
+    )  # fmt: skip
+    targets = with_annulus(targets, effects)
+    notes += [f"{words}."] if words else []
     if work.discretisation:
         targets, stated = with_discretisation(targets, scene)
         notes += said_of(targets.names, stated)
@@ -164,6 +172,7 @@ def _prepared(scene: Scene, targets: Targets, folder: Path, settings: Settings |
         return obstacle(place, identity) or next(filter(None, (in_the_way(place / name, of) for name, of in beside)), "")
 
     folder = settle(folder, hindered, work.fresh)
+    write_effects(folder, effects)
     logs = [RunLog(folder / name, box.names, targets.names, of_runs, work.retry) for name, of_runs in beside]
     reference = Reference(runs[0], logs[0]) if work.cheap else None
     return _Job(runs[-1], box, targets, settings, folder, logs[-1], notes, reference)

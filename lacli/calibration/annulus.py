@@ -1,0 +1,95 @@
+"""What the error of a tracked mitral annulus does to the features that are held against targets.
+
+Simulations hold the annulus where tracking says. What is wrong there is wrong in all frames at once, for it is a share of the
+way that was lost or found: so two runs, with the annulus as tracked and by one standard deviation farther, tell how all features
+move with it, and that is an error of the targets that has one size and one sign for all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lacli.base.documents import read_json
+from lacli.base.errors import InputError
+from lacli.base.files import write_json
+from lacli.contracts.targets import Targets
+
+if TYPE_CHECKING:
+    from lacli.calibration.simulator import SceneSimulator
+    from lacli.contracts.scene import Scene
+    from lacli.inference.box import Box
+
+FILE = "annulus.json"
+
+
+def annulus_effects(
+    scene: Scene, box: Box, targets: Targets, simulator: Callable[[Scene], SceneSimulator]
+) -> tuple[dict[str, float], str]:
+    """By target what one standard deviation of the annulus's error changes (its unit), and what is told of it in words; nothing
+    where the scene's annulus is not tracked or its error not known.
+
+    Of two runs in the box's middle, at the mean of what is known of an input. Where one does not end, the words say so.
+    """
+    import pandas as pd
+
+    from lacli.motion.annulus import known_error
+
+    if scene.motion.annulus != "bundle":
+        return {}, ""
+    error = known_error(scene.anatomy.bundle)
+    if not error:
+        return {}, ""
+    middle = (box.lower + box.upper) / 2
+    known = {prior.name: prior.mean for prior in targets.priors or () if np.isfinite(prior.mean)}
+    told = [known.get(name, at) for name, at in zip(box.names, middle, strict=True)]
+    row = pd.DataFrame([np.clip(told, box.lower, box.upper)], columns=list(box.names))
+    found = []
+    for times in (1.0, 1.0 + error):
+        moved = scene.motion.model_copy(update={"annulus_times": times * scene.motion.annulus_times})
+        ((_, outcome),) = simulator(scene.model_copy(update={"motion": moved}))(row)
+        if outcome.status != "done":
+            return {}, (
+                f"the tracked annulus is known to {100 * error:.0f} % of its way, which is not in the posterior: a run that "
+                f"would tell what this changes ended by {outcome.kind} ({outcome.message})"
+            )
+        found.append(outcome.outputs)
+    as_tracked, farther = found
+    effects = {name: farther[name] - as_tracked[name] for name in targets.names if name in as_tracked and name in farther}
+    most = max(effects, key=lambda name: abs(effects[name]) / targets.sd[targets.names.index(name)], default="")
+    if not most:
+        return {}, ""
+    share = abs(effects[most]) / targets.sd[targets.names.index(most)]
+    return effects, (
+        f"the tracked annulus is known to {100 * error:.0f} % of its way: this is in the targets' errors, most in {most} "
+        f"({share:.1f} standard deviations of its own)"
+    )
+
+
+def with_annulus(targets: Targets, effects: Mapping[str, float]) -> Targets:
+    """The targets with an error that moves all by these effects (their units) at once."""
+    if not any(effects.values()):
+        return targets
+    signs = np.sign([effects.get(name, 0.0) for name in targets.names])
+    return targets.widened({name: abs(value) for name, value in effects.items()}, np.outer(signs, signs))
+
+
+def write_effects(folder: Path, effects: Mapping[str, float]) -> None:
+    """Beside a calibration what its targets were widened by; nothing of an earlier one stays where there is none."""
+    if effects:
+        write_json(folder / FILE, dict(effects))
+    else:
+        (folder / FILE).unlink(missing_ok=True)
+
+
+def read_effects(folder: Path) -> dict[str, float]:
+    """What ``write_effects`` left. Raises InputError where it is damaged."""
+    if not (folder / FILE).is_file():
+        return {}
+    told = read_json(folder / FILE, error=InputError)
+    if not isinstance(told, dict) or not all(isinstance(value, (int, float)) and np.isfinite(value) for value in told.values()):
+        raise InputError(f"{folder / FILE}: not the effects of an annulus's error, a finite number for each target.")
+    return {str(name): float(value) for name, value in told.items()}
