@@ -36,3 +36,9 @@ def test_every_room_within_a_room_is_told() -> None:
     text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     rooms = [str(folder.relative_to(ROOT)) for folder in FOLDERS]
     assert [room for room in rooms if room.startswith("lacli/") and room.count("/") > 1 and f"`{room}`" not in text] == []
+
+
+def test_no_two_files_of_tests_have_one_name() -> None:
+    """pytest imports them by it: the second would not be read."""
+    names = [file.name for file in (ROOT / "tests").rglob("*.py") if file.name != "conftest.py"]
+    assert {name for name in names if names.count(name) > 1} == set()
