@@ -16,6 +16,7 @@ import numpy as np
 from lacli.base.documents import read_json
 from lacli.base.errors import InputError
 from lacli.base.files import write_json
+from lacli.contracts.motion import FILE as MOTION
 from lacli.contracts.targets import Targets
 
 if TYPE_CHECKING:
@@ -27,18 +28,19 @@ FILE = "annulus.json"
 
 
 def annulus_effects(
-    scene: Scene, box: Box, targets: Targets, simulator: Callable[[Scene], SceneSimulator]
+    scene: Scene, run: Scene, box: Box, targets: Targets, simulator: Callable[[Scene], SceneSimulator]
 ) -> tuple[dict[str, float], str]:
     """By target what one standard deviation of the annulus's error changes (its unit), and what is told of it in words; nothing
     where the scene's annulus is not tracked or its error not known.
 
-    Of two runs in the box's middle, at the mean of what is known of an input. Where one does not end, the words say so.
+    Of two runs of ``run`` (the scene, or its cheap companion) in the box's middle, at the mean of what is known of an input.
+    Where one does not end, the words say so.
     """
     import pandas as pd
 
     from lacli.motion.annulus import known_error
 
-    if scene.motion.annulus != "bundle":
+    if scene.motion.annulus != "bundle" or not (scene.anatomy.bundle / MOTION).is_file():  # runs say what is missing
         return {}, ""
     error = known_error(scene.anatomy.bundle)
     if not error:
@@ -49,8 +51,8 @@ def annulus_effects(
     row = pd.DataFrame([np.clip(told, box.lower, box.upper)], columns=list(box.names))
     found = []
     for times in (1.0, 1.0 + error):
-        moved = scene.motion.model_copy(update={"annulus_times": times * scene.motion.annulus_times})
-        ((_, outcome),) = simulator(scene.model_copy(update={"motion": moved}))(row)
+        moved = run.motion.model_copy(update={"annulus_times": times * run.motion.annulus_times})
+        ((_, outcome),) = simulator(run.model_copy(update={"motion": moved}))(row)
         if outcome.status != "done":
             return {}, (
                 f"the tracked annulus is known to {100 * error:.0f} % of its way, which is not in the posterior: a run that "

@@ -277,7 +277,9 @@ def test_a_browser_draws_it_and_has_nothing_to_say(browser: Any, run: Path, pati
     assert titles[:2] == ["region", "displacement from ED to ES"] and "stiffness alpha, posterior mean" in titles
     region = NAMES.index("roof")
     browser.execute_script(f"viewer.choose({titles.index('stiffness alpha, posterior mean')}); viewer.pick({region})")
-    assert browser.execute_script("return document.querySelector('.told').textContent") == "roof: 2.20  (mean over the points drawn)"
+    assert (
+        browser.execute_script("return document.querySelector('.told').textContent") == "roof: 2.20  (mean over the points drawn)"
+    )
     before = browser.execute_script("return Array.from(viewer.pixels().filter((v, i) => i % 401 === 0))")
     browser.execute_script("viewer.turned(0.8, 0.3)")
     assert browser.execute_script("return Array.from(viewer.pixels().filter((v, i) => i % 401 === 0))") != before

@@ -156,7 +156,7 @@ def _prepared(scene: Scene, targets: Targets, folder: Path, settings: Settings |
     ]
     made = [runs_identity(run, box.names, targets.names) for run in runs]
     effects, words = annulus_effects(
-        kinds[-1][0], box, targets, lambda one: simulator(
+        scene, kinds[-1][0], box, targets, lambda one: simulator(
             one, work.store or folder / RUNS, 1, work.scheduler, targets=framed, sensitivities=False, discretisation=False
         )
     )  # fmt: skip

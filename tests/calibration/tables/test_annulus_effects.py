@@ -97,17 +97,18 @@ def test_two_runs_tell_what_one_standard_deviation_changes(folder: Path) -> None
     def simulator(scene: Scene) -> Any:
         return _Stand(scene)
 
-    effects, words = annulus_effects(_scene(folder), BOX, TARGETS, simulator)
+    effects, words = annulus_effects(_scene(folder), _scene(folder), BOX, TARGETS, simulator)
     assert effects == pytest.approx({"b_roof_mm": -0.3, "esv_ml": 1.5})
     assert "known to 15 % of its way" in words and "b_roof_mm (0.6 standard deviations" in words
     held = with_annulus(TARGETS, effects)
     # .25 + .09, 16 + 2.25, and what both owe to one error
     assert held.covariance == pytest.approx(np.array([[0.34, -0.45], [-0.45, 18.25]]))
     assert held.own_sd == pytest.approx(TARGETS.sd)
-    assert annulus_effects(_scene(folder, "motion.annulus=none"), BOX, TARGETS, simulator) == ({}, "")
+    held_still = _scene(folder, "motion.annulus=none")
+    assert annulus_effects(held_still, held_still, BOX, TARGETS, simulator) == ({}, "")
     assert with_annulus(TARGETS, {}) is TARGETS
 
 
 def test_a_run_that_fails_is_told_and_nothing_is_added(folder: Path) -> None:
-    effects, words = annulus_effects(_scene(folder), BOX, TARGETS, lambda scene: _Stand(scene, True))  # type: ignore[arg-type,return-value]
+    effects, words = annulus_effects(_scene(folder), _scene(folder), BOX, TARGETS, lambda scene: _Stand(scene, True))  # type: ignore[arg-type,return-value]
     assert effects == {} and "not in the posterior" in words and "newton_limit" in words
