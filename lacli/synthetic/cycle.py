@@ -23,7 +23,7 @@ from lacli.mechanics.simulation import run_scene
 
 GRID_MM = 3.0
 REACH_MM = 20.0  # the motion fades out over this length around the wall
-CENTRES = 900
+CENTRES = 1500
 _TAPER_MM = 6.0
 _CLOSED_MM = 0.2  # a passive wall under its first pressure is back where it was
 
@@ -128,7 +128,10 @@ class SpaceMotion:
 
     @classmethod
     def extend(cls, cycle: Cycle, points: FloatArray) -> SpaceMotion:
-        """From the wall's points (n, 3): radial functions on some of them, none 20 mm away, lightly smoothed."""
+        """From the wall's points (n, 3): radial functions on some of them, none 20 mm away.
+
+        Not smoothed: what the images show must be what the parameters make of the wall.
+        """
         if len(points) != cycle.displacement.shape[1]:
             raise AnatomyError(f"the cycle moves {cycle.displacement.shape[1]} points, the wall has {len(points)}.")
         low, high = points.min(axis=0) - REACH_MM, points.max(axis=0) + REACH_MM
@@ -144,7 +147,6 @@ class SpaceMotion:
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         value = np.concatenate([fit(part) for part in np.array_split(grid, max(1, len(grid) // 4000))])
         value = np.moveaxis(value.reshape(*count, len(cycle.times), 3), 3, 0)
-        value = ndimage.gaussian_filter(value, (0, 0.7, 0.7, 0.7, 0))
         fade = np.ones(tuple(count))
         for axis in range(3):
             edge = np.minimum(np.arange(count[axis]), np.arange(count[axis])[::-1]) * GRID_MM / _TAPER_MM

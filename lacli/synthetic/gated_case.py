@@ -33,6 +33,7 @@ from lacli.synthetic.gated import Acquisition
 Monitor = Callable[[str, int, int], None]
 ES_TIME = 0.4
 DESCRIPTION = "gated.json"
+METHOD = 2  # how a patient is made of seed and options: raised with what changes images or truth
 
 
 def write_case(
@@ -74,7 +75,7 @@ def write_patient(
     """
     parameters = {**cycle.draw_parameters(seed), **given}
     made_from = {"seed": seed, "atrium": atrium, "acquisition": asdict(acquisition), "parameters": parameters}
-    made_from["heart_rate_bpm"] = heart_rate
+    made_from |= {"heart_rate_bpm": heart_rate, "method": METHOD}
     info = finished(folder, made_from)
     if info is None:
         info = write_case(folder, seed, atrium, parameters, acquisition, heart_rate, monitor)
@@ -87,8 +88,8 @@ def finished(folder: Path, made_from: dict[str, Any]) -> dict[str, Any] | None:
         return None
     try:
         info = read_json(folder / DESCRIPTION, error=AnatomyError)
-        same = all(info[name] == json.loads(json.dumps(value)) for name, value in made_from.items())
-    except (AnatomyError, KeyError, TypeError) as error:
+        same = all(info.get(name) == json.loads(json.dumps(value)) for name, value in made_from.items())
+    except (AnatomyError, AttributeError, TypeError) as error:
         raise AnatomyError(f"{folder} exists and is no synthetic patient; choose another folder or remove it.") from error
     if not same:
         raise AnatomyError(f"{folder} holds a synthetic patient made from other options; choose another folder or remove it.")
@@ -105,7 +106,8 @@ def _write(
     heart_rate: float,
     monitor: Monitor,
 ) -> dict[str, Any]:
-    bundle, _ = synthesize(seed, **atrium)
+    # cut where `mesh` cuts what it finds in the images: vein springs and pericardium are then at the same places
+    bundle, _ = synthesize(seed, **atrium, at_ostia=True)
     # twenty frames of the annulus: its own course is finer than that of the images
     annulus = descend(bundle, frames=20, descent_mm=atrium["descent_mm"], es_time=ES_TIME)
     check_replaceable(folder / "bundle")
@@ -130,6 +132,7 @@ def _write(
         "acquisition": asdict(acquisition),
         "heart_rate_bpm": heart_rate,
         "parameters": parameters,
+        "method": METHOD,
     }
     info |= {"rr_ms": 60000.0 / heart_rate, "frame_times_ms": (acquisition.times * 60000.0 / heart_rate).tolist()}
     info[kept.FILES] = kept.digests(folder, DESCRIPTION)

@@ -9,10 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lacli.anatomy.surface_features import Endocardium
 from lacli.base.errors import AnatomyError
 from lacli.contracts.parameters import parameter_box
 from lacli.mechanics.pressure import Pressure
 from lacli.synthetic import cycle, gated, gated_case
+from lacli.synthetic.atrium import synthesize
 from lacli.synthetic.atrium_folder import _finished
 
 BOX = parameter_box()
@@ -89,8 +91,28 @@ def test_a_folder_of_something_else_is_never_replaced(tmp_path: Path) -> None:
 def test_a_patient_of_another_heart_rate_is_not_kept(tmp_path: Path) -> None:
     acquisition = gated.Acquisition()
     made_from = {"seed": 1, "atrium": {}, "acquisition": asdict(acquisition), "parameters": cycle.draw_parameters(1)}
-    (tmp_path / gated_case.DESCRIPTION).write_text(json.dumps({**made_from, "heart_rate_bpm": 65.0}))
+    (tmp_path / gated_case.DESCRIPTION).write_text(json.dumps({**made_from, "heart_rate_bpm": 65.0, "method": gated_case.METHOD}))
     again = gated_case.write_patient(tmp_path, 1, {}, {}, acquisition, 65.0, lambda *_: None)
     assert again["heart_rate_bpm"] == 65.0
     with pytest.raises(AnatomyError, match="made from other options"):
         gated_case.write_patient(tmp_path, 1, {}, {}, acquisition, 80.0, lambda *_: None)
+    (tmp_path / gated_case.DESCRIPTION).write_text(json.dumps({**made_from, "heart_rate_bpm": 65.0}))
+    with pytest.raises(AnatomyError, match="made from other options"):  # by an earlier method
+        gated_case.write_patient(tmp_path, 1, {}, {}, acquisition, 65.0, lambda *_: None)
+
+
+def test_the_images_move_as_the_wall_was_simulated() -> None:
+    """The motion of all of space at the wall's points, those that it was not fitted to among them."""
+    bundle, _ = synthesize(3, cell_size_mm=8.0, order=1)
+    x = bundle.points
+    middle = x.mean(axis=0)
+    # swells by half a centimetre, in folds of 15 mm, and back
+    reach = np.linalg.norm(x - middle, axis=1, keepdims=True)
+    swollen = (x - middle) / reach * (4.0 + 2.0 * np.sin(2.0 * np.pi * x[:, 2:] / 15.0)) + np.array([0.0, 0.0, -3.0])
+    moved = cycle.Cycle(np.array([0.0, 0.4, 1.0]), np.stack([np.zeros_like(x), swollen, np.zeros_like(x)]))
+    imaged = cycle.SpaceMotion.extend(moved, x).at(0.4)(x)
+    off = np.linalg.norm(imaged - swollen, axis=1)
+    assert np.sqrt((off**2).mean()) < 0.03 * np.sqrt((swollen**2).sum(axis=1).mean())
+    surface = Endocardium.of(bundle)
+    still, true, shown = (surface.features(at)["volume_ml"] for at in (x, x + swollen, x + imaged))
+    assert shown - still == pytest.approx(true - still, rel=0.01)
