@@ -64,6 +64,8 @@ def errors(cohort: Path, patients: list[str]) -> pd.DataFrame:
     """By patient: the least stiffness, and what its numerics do at the true parameters: of all targets, root mean square of the
     true over the stated error, share within twice the stated, and chi^2 by their covariance over their number."""
     rows = {}
+    if missing := [name for name in patients if not (cohort / name / "truth.json").is_file()]:
+        raise SystemExit(f"--errors: {missing[0]} has no truth.json; patients of `synthesize --cohort` have.")
     for name in patients:
         truth, targets = read_json(cohort / name / "truth.json"), read_targets(cohort / name / "targets.toml")
         times = sorted({time for feature in targets.names if (time := parse(feature)[1]) is not None})
