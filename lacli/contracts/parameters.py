@@ -159,6 +159,11 @@ _TABLE: tuple[Quantity, ...] = (
         possible=(0.0, 60.0), plausible=(1.0, 25.0), off=True,
     ),
     Quantity(
+        "annulus_times", "motion.annulus_times", r"s_\mathrm{MV}", "share",
+        "what the displacement of the annulus is multiplied by (annulus = bundle): what an error of tracking changes", 1.0,
+        possible=(0.5, 2.0), plausible=(0.7, 1.5),
+    ),
+    Quantity(
         "es_time", "motion.es_time", r"t_\mathrm{ES}", "share",
         "time of end-systole as a share of the cycle (annulus = bundle: its own counts; axial: the nearest frame)", 0.4,
         possible=(1e-3, 0.999), plausible=(0.15, 0.75),

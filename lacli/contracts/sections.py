@@ -187,12 +187,7 @@ class MotionSettings(Section):
         default="bundle",
         description="motion of the mitral annulus: the frames of the bundle, a rigid descent along its axis, or none",
     )
-    annulus_times: float = Field(
-        default=1.0,
-        ge=0.5,
-        le=2.0,
-        description='what the displacement of "bundle"\'s frames is multiplied by: what an error of tracking changes',
-    )
+    annulus_times: Number = _default("motion.annulus_times")
     amplitude_mm: Number = _default("motion.amplitude_mm")
     es_time: Number = _default("motion.es_time")
     frames: int = _default("motion.frames")
