@@ -37,6 +37,7 @@ _DRAWN = "alpha"  # what a study's joint draws are of
 # of the published tables: what is asked of what
 _QUESTIONS = (("d_mm", ("thickness_mm", "fat_ml", "alpha")), ("alpha", ("thickness_mm", "fat_ml")))
 _OF_STUDY = ("participant_id", *STATE, "arm")  # columns that say nothing of a participant
+_TOLD = "Warnings by participant"
 _KEPT = (anatomies_section, influences_section, transients_section, fits_section, emulators_section, numerics_section)
 
 
@@ -45,24 +46,39 @@ def study_page(study: Path, pictures: Path) -> Page:
     summary = read_json(study / SUMMARY, missing="no such file; is this the folder of `lacli cohort`?")
     if not isinstance(summary, dict) or not {"patients", "done", "failed", "models", "notes"} <= set(summary):
         raise InputError(f"{study / SUMMARY}: not a study's summary.")
-    sections = [_patients(study, summary["notes"])]
+    general, of_patients = _notes(study, [str(words) for words in summary["notes"]])
+    sections = [_patients(study, general, len(of_patients))]
     if (study / MODELS).is_file():
         sections.append(_models(study, summary["models"]))
     sections += [section for section in (make(study, pictures) for make in _KEPT) if section is not None]
     sections += _answers(study, pictures)
+    if of_patients:
+        sections.append(Section("warnings", _TOLD, text=of_patients))
     text, cited = of_study(__version__, [str(model["name"]) for model in summary["models"]])
     sections.append(closing(text, cited, {"versions": {"lacli": __version__}}))
     lead = f"{summary['done']} of {summary['patients']} participants done."
     return Page("A study of left atria", lead, tuple(sections))
 
 
-def _patients(study: Path, notes: list[str]) -> Section:
+def _notes(study: Path, notes: list[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """What is told of the study, and of single participants, whose words begin with their identifier."""
+    known = set(read_frame(study / PATIENTS)["participant_id"].astype(str))
+    mine = [words.partition(": ")[0] in known for words in notes]
+    return (
+        tuple(words for words, one in zip(notes, mine, strict=True) if not one),
+        tuple(words for words, one in zip(notes, mine, strict=True) if one),
+    )
+
+
+def _patients(study: Path, notes: tuple[str, ...], warned: int) -> Section:
     frame = read_frame(study / PATIENTS)
+    if warned:
+        notes = (*notes, f"Of {warned} participants something was said that an answer hangs on: see {_TOLD}.")
     over = demographics(frame, _OF_STUDY)
     tables = [Table("Over the participants", HEAD, tuple(over))] if over else []
     frame = frame.drop(columns="warnings", errors="ignore")  # which stand above, by patient
     tables.append(Table("Participants", tuple(map(str, frame.columns)), cells(frame)))
-    return Section("patients", "Participants", tuple(map(str, notes)), tables=tuple(tables))
+    return Section("patients", "Participants", notes, tables=tuple(tables))
 
 
 def _models(study: Path, over: list[dict[str, object]]) -> Section:

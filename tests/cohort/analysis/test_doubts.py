@@ -95,7 +95,9 @@ def test_the_study_and_its_page_tell_what_a_patient_s_calibration_warned_of(tmp_
     assert pd.read_csv(home / CONTRASTS)["not_trusted"].tolist() == ["sub-1"]
     page = study_page(home, tmp_path)
     assert page.lead == "2 of 4 participants done."
-    assert any(FAR in words for words in page.sections[0].warnings)
+    (told,) = (section for section in page.sections if section.anchor == "warnings")
+    assert any(FAR in words for words in told.text) and all(words.startswith("sub-") for words in told.text)
+    assert any(told.title in words for words in page.sections[0].warnings)
     assert "warnings" not in page.sections[0].tables[-1].columns
     models = next(section for section in page.sections if section.anchor == "models")
     row = next(row for row in models.tables[0].rows if row[0] == "global")
