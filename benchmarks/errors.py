@@ -11,7 +11,7 @@ all anatomies, and its coverage measured on each by a fit to the others. --times
 features, regions and times go together. --over-the-box: what the built-in model is worth on all runs that --times made, also
 nearer to the box's ends (--inner .9) and on softer walls (--alpha-times .55), and the factor that holds its share there.
 --images: atria as patients have them, meshed from label maps of 1 mm voxels by `lacli mesh`, at each size anew; of quadratic
-cells alone, whose errors on smooth shapes are smaller (linear cells' are not). What is found there is theirs.
+cells alone, and of the image's own volume with linear ones.
 --write: what was found becomes the built-in. --bundle: bundles of one more anatomy (coarse ones, the finest last), held against
 the built-in model.
 
@@ -115,6 +115,7 @@ def of_seed(folder: Path, seed: int, order: int, cell_mm: float, spread: Spread,
     thickness, inputs = drawn(seed, spread)
     where = made(folder, seed, cell_mm, thickness, spread.images)
     row = {"seed": seed, "thickness_mm": thickness, "order": order, "cell_size_mm": cell_mm, "inputs": inputs}
+    row["images"] = spread.images
     return {**row, **simulate(folder, where, inputs, order, *more)}
 
 
@@ -128,6 +129,8 @@ def collect(
     for seed in seeds:
         if any(row["seed"] == seed and row["inputs"] != drawn(seed, spread)[1] for row in rows):
             raise SystemExit(f"{file}: seed {seed} has runs of another --inner or --alpha-times; take another folder or seeds.")
+        if any(row["seed"] == seed and row.get("images", spread.images) != spread.images for row in rows):
+            raise SystemExit(f"{file}: seed {seed} has atria with and without --images; take another folder or seeds.")
         for order, cell_mm in choices:
             if (seed, order, cell_mm) in known:
                 continue

@@ -47,7 +47,7 @@ FEATURES = [f"d_{name}_mm" for name in ("global", *REGIONS)]
 @dataclass(frozen=True)
 class Row:
     """An atrium at a cell size (mm) and thickness (mm); ways that ended; unstable modes; mm and shares as printed; the worst
-    changes (mm) at each of TIMES; CPU s of each way."""
+    changes (mm) at each of TIMES; CPU s of each way; the --set."""
 
     atrium: str
     size_mm: float
@@ -63,6 +63,7 @@ class Row:
     settled_changes_mm: list[float]
     dents_changes_mm: list[float]
     cpu_s: dict[str, float]
+    overrides: list[str]
 
 
 def made(name: str, size: float, thickness: float, out: Path) -> Path:
@@ -142,7 +143,7 @@ def measured(name: str, size: float, thickness: float, overrides: list[str], out
         float(at_rims), float(area[rims].sum() / area.sum()),
         changes(ended["own"], ended["settled"]) if {"own", "settled"} <= set(ended) else none,
         changes(ended["own"], ended["dents"]) if {"own", "dents"} <= set(ended) else none,
-        {way: float(run.manifest.get("cpu_s", nothing)) for way, run in runs.items()},
+        {way: float(run.manifest.get("cpu_s", nothing)) for way, run in runs.items()}, overrides,
     )  # fmt: skip
 
 
@@ -154,7 +155,7 @@ def main() -> None:
     parser.add_argument("--thickness-mm", type=float, nargs="+", default=[2.0])
     parser.add_argument("--set", action="append", default=[], dest="overrides")
     parser.add_argument("--out", type=Path, default=Path("results/modes"))
-    parser.add_argument("--record", type=Path, help="file of rows, to go on with; its rows are of the same --set")
+    parser.add_argument("--record", type=Path, help="file of rows, to go on with")
     choice = parser.parse_args()
     if not ATRIA.is_dir():
         raise SystemExit(f"{ATRIA}: no such folder; the files of `benchmarks/atria.py` are not here.")
@@ -162,7 +163,8 @@ def main() -> None:
     print("atrium  cells wall  unstable: own dents   settles mm: rms  max   in dents (area)  at rims (area)   "
           "settling changes at 1/4 1/2 3/4 ES | dents change, mm   CPU s", flush=True)  # fmt: skip
     for name, size, thickness in itertools.product(choice.atria, choice.sizes, choice.thickness_mm):
-        kept = [r for r in rows if (r.atrium, r.size_mm, r.thickness_mm) == (name, size, thickness)]
+        asked = (name, size, thickness, choice.overrides)
+        kept = [r for r in rows if (r.atrium, r.size_mm, r.thickness_mm, r.overrides) == asked]
         row = kept[0] if kept else measured(name, size, thickness, choice.overrides, choice.out)
         if not kept:
             records.add(choice.record, row)

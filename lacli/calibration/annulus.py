@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lacli.base.documents import read_json
-from lacli.base.errors import InputError
+from lacli.base.errors import InputError, LacliError
 from lacli.base.files import write_json
 from lacli.contracts.motion import FILE as MOTION
 from lacli.contracts.targets import Targets
@@ -25,6 +25,22 @@ if TYPE_CHECKING:
     from lacli.inference.box import Box
 
 FILE = "annulus.json"
+_DIGITS = 6  # of what is kept: more are the solver's rounding, which would make another calibration of the same runs
+
+
+def known_share(scene: Scene) -> float:
+    """The share of its way that the scene's tracked annulus is known to (a standard deviation); 0 where it is not tracked, or its
+    error not known. Raises InputError for a damaged motion; of one that is missing the runs say so."""
+    from lacli.motion.annulus import known_error
+
+    if scene.motion.annulus != "bundle" or not (scene.anatomy.bundle / MOTION).is_file():
+        return 0.0
+    return known_error(scene.anatomy.bundle) or 0.0
+
+
+def left_out(share: float) -> str:
+    """What is said where the error of the annulus is not in a posterior."""
+    return f"the tracked annulus is known to {100 * share:.0f} % of its way, which is not in the posterior: it may be too narrow"
 
 
 def annulus_effects(
@@ -34,16 +50,11 @@ def annulus_effects(
     where the scene's annulus is not tracked or its error not known.
 
     Of two runs of ``run`` (the scene, or its cheap companion) in the box's middle, at the mean of what is known of an input.
-    Where one does not end, the words say so.
+    Where the scene has no answer there, the words say so. Raises LacliError where the machine ended one, InputError.
     """
     import pandas as pd
 
-    from lacli.motion.annulus import known_error
-
-    if scene.motion.annulus != "bundle" or not (scene.anatomy.bundle / MOTION).is_file():  # runs say what is missing
-        return {}, ""
-    error = known_error(scene.anatomy.bundle)
-    if not error:
+    if not (error := known_share(scene)):
         return {}, ""
     middle = (box.lower + box.upper) / 2
     known = {prior.name: prior.mean for prior in targets.priors or () if np.isfinite(prior.mean)}
@@ -53,14 +64,17 @@ def annulus_effects(
     for times in (1.0, 1.0 + error):
         moved = run.motion.model_copy(update={"annulus_times": times * run.motion.annulus_times})
         ((_, outcome),) = simulator(run.model_copy(update={"motion": moved}))(row)
-        if outcome.status != "done":
-            return {}, (
-                f"the tracked annulus is known to {100 * error:.0f} % of its way, which is not in the posterior: a run that "
-                f"would tell what this changes ended by {outcome.kind} ({outcome.message})"
+        if outcome.lost:  # it says nothing of the scene: an answer without it would be kept for good
+            raise LacliError(
+                f"calibrate: a run that tells what the annulus's error changes was ended by the machine ({outcome.kind}): "
+                f"{outcome.message} Call again."
             )
+        if outcome.status != "done":
+            return {}, f"{left_out(error)}. A run that would tell what this changes ended by {outcome.kind} ({outcome.message})"
         found.append(outcome.outputs)
     as_tracked, farther = found
-    effects = {name: farther[name] - as_tracked[name] for name in targets.names if name in as_tracked and name in farther}
+    there = [name for name in targets.names if name in as_tracked and name in farther]
+    effects = {name: float(f"{farther[name] - as_tracked[name]:.{_DIGITS}g}") for name in there}
     most = max(effects, key=lambda name: abs(effects[name]) / targets.sd[targets.names.index(name)], default="")
     if not most:
         return {}, ""

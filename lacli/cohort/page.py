@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from lacli.base.documents import read_json
 from lacli.base.errors import InputError
@@ -46,8 +47,9 @@ def study_page(study: Path, pictures: Path) -> Page:
     summary = read_json(study / SUMMARY, missing="no such file; is this the folder of `lacli cohort`?")
     if not isinstance(summary, dict) or not {"patients", "done", "failed", "models", "notes"} <= set(summary):
         raise InputError(f"{study / SUMMARY}: not a study's summary.")
-    general, of_patients = _notes(study, [str(words) for words in summary["notes"]])
-    sections = [_patients(study, general, len(of_patients))]
+    people = read_frame(study / PATIENTS)
+    general, of_patients = _notes(people, [str(words) for words in summary["notes"]])
+    sections = [_patients(people, general, len(of_patients))]
     if (study / MODELS).is_file():
         sections.append(_models(study, summary["models"]))
     sections += [section for section in (make(study, pictures) for make in _KEPT) if section is not None]
@@ -60,9 +62,9 @@ def study_page(study: Path, pictures: Path) -> Page:
     return Page("A study of left atria", lead, tuple(sections))
 
 
-def _notes(study: Path, notes: list[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _notes(people: pd.DataFrame, notes: list[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """What is told of the study, and of single participants, whose words begin with their identifier."""
-    known = set(read_frame(study / PATIENTS)["participant_id"].astype(str))
+    known = set(people["participant_id"].astype(str))
     mine = [words.partition(": ")[0] in known for words in notes]
     return (
         tuple(words for words, one in zip(notes, mine, strict=True) if not one),
@@ -70,13 +72,12 @@ def _notes(study: Path, notes: list[str]) -> tuple[tuple[str, ...], tuple[str, .
     )
 
 
-def _patients(study: Path, notes: tuple[str, ...], warned: int) -> Section:
-    frame = read_frame(study / PATIENTS)
+def _patients(people: pd.DataFrame, notes: tuple[str, ...], warned: int) -> Section:
     if warned:
-        notes = (*notes, f"Of {warned} participants something was said that an answer hangs on: see {_TOLD}.")
-    over = demographics(frame, _OF_STUDY)
+        notes = (*notes, f"Calibration or comparison of {warned} participants told something: see {_TOLD}.")
+    over = demographics(people, _OF_STUDY)
     tables = [Table("Over the participants", HEAD, tuple(over))] if over else []
-    frame = frame.drop(columns="warnings", errors="ignore")  # which stand above, by patient
+    frame = people.drop(columns="warnings", errors="ignore")  # which have a section of their own
     tables.append(Table("Participants", tuple(map(str, frame.columns)), cells(frame)))
     return Section("patients", "Participants", notes, tables=tuple(tables))
 

@@ -1,6 +1,6 @@
 """The motion of the mitral annulus as a file: ``motion.npz`` in a bundle's folder.
 
-Arrays: times (f,), wall_point (n,), positions (f, n, 3) mm, es_time. Other arrays in the file are not read.
+Arrays: times (f,), wall_point (n,), positions (f, n, 3) mm, es_time. Other arrays in the file are not read for a simulation.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from lacli.contracts.features import kind_of, parse
 from lacli.contracts.priors import prior_tables
 from lacli.contracts.tables.covariance import write_covariance
 from lacli.geometry.subdivision import straight
-from lacli.motion.annulus import annulus_points
+from lacli.motion.annulus import ERROR, annulus_points
 from lacli.motion.axes import nodal_axes
 from lacli.motion.errors.drift import widened
 from lacli.motion.errors.uncertainty import ErrorModel
@@ -87,7 +87,7 @@ def write_all(folder: Path, bundle: Bundle, tracked: Tracked, found: Covaried, n
         "positions": tracked.annulus.undone(course.positions[:, ids]),
         "endo_point": endo, "endo_positions": course.positions[:, endo], "engine": str(tracked.info["engine"]),
         "error_normal_mm": normal, "error_tangential_mm": tangential,
-        "annulus_share": annulus["share"], "annulus_error_mm": annulus["es_error_mm"],
+        "annulus_share": annulus["share"], ERROR: annulus["es_error_mm"],
     }  # fmt: skip
     write_arrays(folder / "motion.npz", arrays)
     rows = [

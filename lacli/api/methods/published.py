@@ -45,6 +45,7 @@ def calibrate_by_waves(
         folder, result = calibrate_table(table, targets, work.box, settings, folder, work.fresh, hear)
     else:
         from lacli.base.processes.locks import working_on
+        from lacli.calibration.annulus import known_share, left_out
         from lacli.calibration.calibration import calibration_identity, obstacle
         from lacli.calibration.simulator import check_end_systole, of_known_loads
         from lacli.inference.box import published_box
@@ -60,6 +61,8 @@ def calibrate_by_waves(
             # what was measured is in the table of runs already, and reaches the likelihood from there
             targets, stated = with_discretisation(targets, scene, but=MEASURED)
             said += said_of(targets.names, stated)
+        if share := known_share(scene):
+            said.append(f"{left_out(share)}; the sequential method has it.")
         run = _simulator(scene, folder, work, framed, work.sensitivities, work.discretisation)
         of_runs = runs_identity(run, box.names, targets.names)
         identity = calibration_identity(box, targets, settings, of_runs)

@@ -14,6 +14,7 @@ import pandas as pd
 from lacli.base.documents import read_json
 from lacli.base.errors import InputError, UsageError
 from lacli.base.files import replacing, write_json
+from lacli.calibration.annulus import read_effects, with_annulus
 from lacli.cohort.analysis.convergence import convergence
 from lacli.cohort.analysis.fits import (
     Anatomy,
@@ -130,6 +131,7 @@ def _read(study: Path, patient: Participant) -> _Patient:
     """Raises InputError, UsageError where something of it is missing or damaged."""
     name, folder = patient.identifier, study / patient.identifier
     result, comparison = read_json(folder / "calibration" / "result.json"), read_json(folder / "comparison.json")
+    targets = patient.paths.get("targets", folder / "motion" / "targets.toml")
     in_two = any(row.get("own_sd") for row in result["fit"])
     anatomy = read_anatomy(patient.paths.get("bundle", folder / "anatomy"), name)
     fat = _fat(folder)
@@ -137,7 +139,7 @@ def _read(study: Path, patient: Participant) -> _Patient:
     _tracked(folder)  # read again for the table of patients, who fail of it here
     return _Patient(
         result,
-        read_targets(patient.paths.get("targets", folder / "motion" / "targets.toml")) if in_two else None,
+        with_annulus(read_targets(targets), read_effects(folder / "calibration")) if in_two else None,
         doubts({"": result, **_other_calibrations(folder, comparison)}, comparison),
         list(comparison.get("contrasts") or []),
         [] if anatomy is None else [_of_anatomy(patient, anatomy, fat, study)],
@@ -152,7 +154,7 @@ def _read(study: Path, patient: Participant) -> _Patient:
             result,
             {} if anatomy is None else anatomy.laplace_mm,
             fat.get("standard", {}),
-            at_end_systole(patient.paths.get("targets", folder / "motion" / "targets.toml").parent),
+            at_end_systole(targets.parent),
         ),
         _draws(patient, folder),
         [{"participant_id": name, **fit} for fit in comparison["fits"]],

@@ -1,7 +1,8 @@
 """States that are no stable equilibria, where a run tells it: frames between end-diastole and end-systole, and of the conduit.
 
 End-diastole and end-systole are checked in every run, a frame where its derivatives are asked for. Elsewhere the check would cost
-a factorisation a frame: 3 % of the CPU time of a linear atrium of 8 mm cells with four frames, 6 - 16 % of a quadratic one.
+a factorisation a frame: 3 % of the CPU time of a linear atrium of 8 mm cells with four frames, 6 - 16 % of a quadratic
+one (tried once, outside the benchmarks).
 """
 
 from __future__ import annotations

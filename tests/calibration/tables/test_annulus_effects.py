@@ -12,9 +12,9 @@ import pandas as pd
 import pytest
 from shapes import hollow_cube
 
-from lacli.base.errors import SceneError
+from lacli.base.errors import LacliError, SceneError
 from lacli.base.schema import write_arrays
-from lacli.calibration.annulus import annulus_effects, with_annulus
+from lacli.calibration.annulus import annulus_effects, known_share, left_out, with_annulus
 from lacli.contracts.bundle import Bundle, save
 from lacli.contracts.labels import RINGS
 from lacli.contracts.motion import Motion, save_motion
@@ -107,6 +107,35 @@ def test_two_runs_tell_what_one_standard_deviation_changes(folder: Path) -> None
     held_still = _scene(folder, "motion.annulus=none")
     assert annulus_effects(held_still, held_still, BOX, TARGETS, simulator) == ({}, "")
     assert with_annulus(TARGETS, {}) is TARGETS
+
+
+def test_effects_have_no_rounding_of_the_solver(folder: Path) -> None:
+    """Runs that agree to the solver's tolerance make one calibration."""
+
+    class Rounded(_Stand):
+        def __call__(self, rows: pd.DataFrame) -> Iterator[tuple[int, Outcome]]:
+            for index, outcome in super().__call__(rows):
+                yield index, Outcome({name: value * (1 + 3e-12) for name, value in outcome.outputs.items()})
+
+    plain, rounded = (
+        annulus_effects(_scene(folder), _scene(folder), BOX, TARGETS, kind)[0]  # type: ignore[arg-type]
+        for kind in (_Stand, Rounded)
+    )
+    assert plain == rounded
+
+
+def test_a_run_that_the_machine_ended_says_nothing_of_the_scene(folder: Path) -> None:
+    class Lost(_Stand):
+        def __call__(self, rows: pd.DataFrame) -> Iterator[tuple[int, Outcome]]:
+            yield 0, Outcome({}, "failed", "lost_worker", message="It was lost.")
+
+    with pytest.raises(LacliError, match=r"ended by the machine \(lost_worker\): It was lost. Call again"):
+        annulus_effects(_scene(folder), _scene(folder), BOX, TARGETS, Lost)  # type: ignore[arg-type]
+
+
+def test_what_a_posterior_lacks_is_told(folder: Path) -> None:
+    assert known_share(_scene(folder)) == pytest.approx(0.15) and known_share(_scene(folder, "motion.annulus=none")) == 0.0
+    assert "known to 15 % of its way, which is not in the posterior" in left_out(0.15)
 
 
 def test_a_run_that_fails_is_told_and_nothing_is_added(folder: Path) -> None:
