@@ -7,13 +7,12 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from lacli.anatomy.coordinates import describe as coordinates
 from lacli.anatomy.cuts import closed_cut, trunk
 from lacli.anatomy.cuts.closing import CAP
-from lacli.anatomy.inputs import extraction, labelled, patches, repair, voxels
+from lacli.anatomy.inputs import extraction, labelled, patches, repair, ripples, voxels
 from lacli.anatomy.inputs.image import Image
 from lacli.anatomy.inputs.meshes.anything import Mesh
 from lacli.anatomy.inputs.patches import Tagged
@@ -22,6 +21,7 @@ from lacli.anatomy.openings import finding
 from lacli.anatomy.openings.candidate import Candidate, place
 from lacli.anatomy.openings.landmarks import LPS, Axes, Landmarks
 from lacli.anatomy.openings.mitral import lv_contact, of_contact
+from lacli.anatomy.openings.valve_tube import valve_tube
 from lacli.anatomy.wall.offset import REACH
 from lacli.anatomy.wall.shell import TooTightError, mesh_shell
 from lacli.base.errors import AnatomyError
@@ -31,7 +31,8 @@ from lacli.geometry import curves as paths
 from lacli.geometry.surface import Surface, nearest
 
 Say = Callable[[str], None]
-LEAST_WALL_MM = 1.0
+ThroughValve = Callable[[Landmarks], tuple[Landmarks, Surface, Surface | None] | None]
+OUTER_GRID_MM = 0.8
 FOLD_DEG = 120.0  # between the normals of two triangles of the wall: a fold
 FINE_MM, UNFOLD_MM = 0.6, 1.5  # voxels and smoothing of a surface whose folds no wall can follow
 THINNED = 0.05  # share of the wall's points that may be thinner than asked without a word
@@ -40,7 +41,8 @@ UNMET = 0.01  # the same of those whose outer side as given is too near or too f
 
 @dataclass(frozen=True)
 class Options:
-    """What the user chooses: cell size and wall thickness (mm), element order, ring width (mm), fibre rule."""
+    """What the user chooses: cell size and wall thickness (mm), element order, ring width (mm), fibre rule; ``wave_mm``: shorter
+    waves of the wall's surface are taken out (0: none; None: ``ripples.wave_of`` the voxels, none of a surface given)."""
 
     cell_size_mm: float = 3.5
     thickness_mm: float = 2.0
@@ -48,6 +50,7 @@ class Options:
     ring_width_mm: float = 2.5
     fibre_rule: str = "laplace-dirichlet"
     smoothing_mm: float | None = None
+    wave_mm: float | None = None
     layers: int | None = None
     accept_low_confidence: bool = False
 
@@ -118,37 +121,27 @@ def _of_labels(
     seen = [] if contact is None else [of_contact(surface, contact)]
     if lv is not None and contact is None:
         notes.append(f"label {lv} does not touch the atrium: the mitral plane is found from the shape")
-    outer = None if wall is None else outer_surface(labels, la, wall, surface, options, notes)
-    return _from_closed(surface, [*seen, *said], LPS, options, given, say, notes, pool.mask, outer)
+    within = None if wall is None else extraction.within_wall(labels, la, wall, notes)
 
+    def outer_of(mask: Image) -> Surface:
+        return ripples.evened(extraction.surface_of(mask, options.smoothing_mm, OUTER_GRID_MM), _wave(options, mask))
 
-def outer_surface(labels: Image, la: int, wall: int, inner: Surface, options: Options, notes: list[str]) -> Surface:
-    """The wall's outer surface from its label; where the label has holes it keeps LEAST_WALL_MM from the blood.
-
-    Raises AnatomyError where the label is absent or covers less than half of the blood pool.
-    """
-    if not (labels.array == wall).any():
-        raise AnatomyError(f"label {wall} (atrial wall) has no voxel in the image.")
-    both = labels.with_array(np.isin(labels.array, (la, wall)).astype(np.uint8))
-    pool = extraction.blood_pool(both, 1)
-    blood = labels.with_array(labels.array == la).crop(*_box(pool.mask, labels))
-    depth = ndimage.distance_transform_edt(~blood.array, sampling=labels.spacing[::-1])
-    filled = (depth <= LEAST_WALL_MM) & ~pool.mask.array
-    share = float(filled.sum()) / max(float((depth <= LEAST_WALL_MM).sum() - blood.array.sum()), 1.0)
-    if share > 0.5:
-        raise AnatomyError(
-            f"label {wall} covers only {100 * (1 - share):.0f} % of the blood pool's surface; is it the atrial wall?"
+    def through_valve(found: Landmarks) -> tuple[Landmarks, Surface, Surface | None] | None:
+        """The surfaces led on through the annulus, and the landmarks with its place; None where it does not show in the map."""
+        valve = found.openings.get("mv")
+        if lv is None or contact is None or valve is None:
+            return None
+        tube = valve_tube(
+            labels.crop(*extraction.box(pool.mask, labels)), la, lv, valve, given=given is not None and "mv" in given.openings
         )
-    if filled.any():
-        notes.append(
-            f"{100 * share:.1f} % of the wall next to the blood had no label; it was given {LEAST_WALL_MM:g} mm (openings too)"
-        )
-    return extraction.surface_of(pool.mask.with_array(pool.mask.array | filled), options.smoothing_mm, 0.8)
+        if tube is None:
+            return None
+        inner = extraction.surface_of(tube.led_on(pool.mask), options.smoothing_mm, grid)
+        outer = None if within is None else outer_of(tube.led_on(within))
+        return replace(found, openings={**found.openings, "mv": tube.opening}), inner, outer
 
-
-def _box(mask: Image, labels: Image) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    low = np.round(labels.to_index(mask.origin[None])[0]).astype(int)
-    return low, low + np.array(mask.array.shape[::-1])
+    outer = None if within is None else outer_of(within)
+    return _from_closed(surface, [*seen, *said], LPS, options, given, say, notes, pool.mask, outer, through_valve)
 
 
 def from_mesh(
@@ -192,19 +185,24 @@ def _from_closed(
     notes: list[str],
     mask: Image | None,
     outer: Surface | None = None,
+    through_valve: ThroughValve | None = None,
 ) -> Built:
     say("finding valve, veins and appendage")
     field = None if mask is None else extraction.smooth_field(mask, max(0.8, 0.8 * float(mask.spacing.max())), 1.0)
     found = finding.find(surface, seen, axes, given, field, options.ring_width_mm, options.accept_low_confidence).landmarks
     notes += found.notes
-    say("cutting")
-    cavity = clip(surface, found, notes)
-    say("meshing the wall")
+    say("cutting and meshing the wall")
+    wave = _wave(options, mask)
+    led = through_valve(found) if through_valve is not None else None
     try:
-        bundle = _shell(cavity, options, outer, notes)
-    except TooTightError:
-        cavity, found = _smoothed(surface, found, notes)
-        bundle = _shell(cavity, options, outer, notes)
+        if led is None:
+            raise AnatomyError("the annulus does not show in the map.")
+        words: list[str] = []
+        cavity, bundle, at = _walled(led[1], led[0], options, led[2], wave, words)
+    except AnatomyError:  # cut where the surface itself has the ventricle's contact
+        words = []
+        cavity, bundle, at = _walled(surface, found, options, outer, wave, words)
+    found, notes = at, [*notes, *words]
     _say_thinned(bundle, notes)
     _say_unmet(bundle, options.thickness_mm, notes)
     say("coordinates, regions, fibres")
@@ -220,6 +218,26 @@ def _from_closed(
         measures["voxel_volume_ml"] = float(mask.array.sum()) * mask.voxel_ml
         measures["clipped_voxel_volume_ml"] = clipped_voxels_ml(mask, cavity)
     return Built(described.bundle, found, cavity, tuple(notes), measures)
+
+
+def _walled(
+    surface: Surface, found: Landmarks, options: Options, outer: Surface | None, wave_mm: float, notes: list[str]
+) -> tuple[Surface, Bundle, Landmarks]:
+    """The cavity, the wall's cells, and where the openings were cut in the end."""
+    cavity = clip(surface, found, notes)
+    cavity = ripples.evened(cavity, wave_mm)
+    try:
+        return cavity, _shell(cavity, options, outer, notes), found
+    except TooTightError:
+        cavity, found = _smoothed(surface, found, notes)
+        return cavity, _shell(cavity, options, outer, notes), found
+
+
+def _wave(options: Options, mask: Image | None) -> float:
+    """Wave length (mm) below which the wall's surface is evened; 0 where it is not."""
+    if options.wave_mm is not None:
+        return options.wave_mm
+    return 0.0 if mask is None else ripples.wave_of(float(mask.spacing.max()))
 
 
 def _smoothed(surface: Surface, found: Landmarks, notes: list[str]) -> tuple[Surface, Landmarks]:

@@ -31,6 +31,7 @@ from lacli.base.version import __version__
 from lacli.contracts import bundle as contract
 
 FIBRE_RULES = ("laplace-dirichlet", "uac")
+LONGEST_WAVE_MM = 30.0  # longer ones are an atrium's own shape
 STEPS = 6  # of which ``built_from`` tells
 
 
@@ -43,6 +44,8 @@ def check_options(options: Options, frame: str, unit: str | None) -> None:
     ):
         if not low <= value <= high:
             raise UsageError(f"{name} is {value:g} mm; it must be {low:g} to {high:g} mm.")
+    if options.wave_mm is not None and not 0.0 <= options.wave_mm <= LONGEST_WAVE_MM:
+        raise UsageError(f"--wave-mm is {options.wave_mm:g} mm; it must be 0 (nothing is evened) to {LONGEST_WAVE_MM:g} mm.")
     if options.order not in (1, 2):
         raise UsageError(f"--order is {options.order}; it must be 1 or 2.")
     if options.layers is not None and not 1 <= options.layers <= 20:

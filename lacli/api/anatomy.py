@@ -46,6 +46,7 @@ def mesh(
     layers: int | None = None,
     ring_width_mm: float = 2.5,
     smoothing_mm: float | None = None,
+    wave_mm: float | None = None,
     landmarks: Path | None = None,
     fibres: str = "laplace-dirichlet",
     frame: str = "unknown",
@@ -61,7 +62,8 @@ def mesh(
     Points (n, 3) are in mm: of images in ITK's LPS, else in the surface's own axes. la, lv, wall: labels of the atrium's
     blood (None: the only one there), the ventricle's, the atrial wall; labels: more of them, ``la=2,lv=3,laa=61,pv=53``;
     preset: the same by the name of a published set; layers: cells through the wall (None: thickness over
-    cell size); smoothing_mm: of voxels (None: 1.25 coarsest spacings); landmarks: a landmarks.toml that wins over what is
+    cell size); smoothing_mm: of voxels (None: 1.25 coarsest spacings); wave_mm: shorter waves of the wall's surface are taken
+    out (0: none; None: of label maps those of the voxels, of surfaces none); landmarks: a landmarks.toml that wins over what is
     found; fibres: ``laplace-dirichlet``, ``uac``, or a file with fibres; frame: of a surface, ``lps``, ``ras`` or
     ``unknown``; unit: of a mesh file (None: told from its size); also: files that get the wall too.
     Raises AnatomyError, UsageError, StorageError, Cancelled (nothing is written then).
@@ -74,7 +76,9 @@ def mesh(
 
     own = None if fibres in meshing.FIBRE_RULES else Path(fibres)
     rule = fibres if own is None else meshing.FIBRE_RULES[0]
-    options = Options(cell_size_mm, thickness_mm, order, ring_width_mm, rule, smoothing_mm, layers, accept_low_confidence)
+    options = Options(
+        cell_size_mm, thickness_mm, order, ring_width_mm, rule, smoothing_mm, wave_mm, layers, accept_low_confidence
+    )
     meshing.check_options(options, frame, unit)
     check_folder(folder)
     # landmarks may lie there: they are written again, with what they say

@@ -66,7 +66,7 @@ def still(seed: int, volume_ml: float | None, thickness_mm: float, acquisition: 
     """Blood, muscle, and lung and fat with texture around; blurred. Veins and valve go on past their cuts."""
     shape = sized(seed, volume_ml)
     grid = Grid.around(shape, np.asarray(acquisition.voxel_mm, dtype=float), MARGIN_MM)
-    inside, valve = distance_fields(shape, grid)
+    inside, valve = distance_fields(shape, grid, shape.distance)
     label = np.zeros(grid.size[::-1], dtype=np.uint8)
     label[(inside > 0) & (inside <= thickness_mm) & (valve <= 0)] = WALL
     label[ventricle(shape, grid, valve)] = LV

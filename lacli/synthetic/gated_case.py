@@ -33,7 +33,7 @@ from lacli.synthetic.gated import Acquisition
 Monitor = Callable[[str, int, int], None]
 ES_TIME = 0.4
 DESCRIPTION = "gated.json"
-METHOD = 2  # how a patient is made of seed and options: raised with what changes images or truth
+METHOD = 3  # how a patient is made of seed and options: raised with what changes images or truth
 
 
 def write_case(

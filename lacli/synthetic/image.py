@@ -5,6 +5,7 @@ Axes are LPS, as the shape's own: x left, y back, z head.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,7 +48,7 @@ def images(
     """Label map and CT of a seed's atrium; ``spacing_mm`` along x, y, z; Gaussian noise and blur (standard deviations)."""
     shape = sized(seed, volume_ml)
     grid = Grid.around(shape, np.asarray(spacing_mm, dtype=float))
-    inside, valve = distance_fields(shape, grid)
+    inside, valve = distance_fields(shape, grid, shape.distance)
     label = np.zeros(grid.size[::-1], dtype=np.int16)
     wall = (inside > 0) & (inside <= thickness_mm) & (valve <= 0)
     label[wall] = WALL
@@ -86,15 +87,14 @@ class Grid:
         return self.low + index * self.spacing
 
 
-def distance_fields(shape: Shape, grid: Grid) -> tuple[FloatArray, FloatArray]:
-    """Distance to the uncut cavity (negative inside) and height over the mitral plane, per voxel (nk, nj, ni) mm.
+def distance_fields(shape: Shape, grid: Grid, field: Callable[[FloatArray], FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """A field of the shape (its distance from the uncut cavity, negative inside) and the height over the mitral plane, per voxel
+    (nk, nj, ni) mm.
 
-    The distance is evaluated on every second voxel and splined between: it is smooth on that scale.
+    The field is evaluated on every second voxel and splined between: it is smooth on that scale.
     """
     coarse = Grid(grid.low, 2.0 * grid.spacing, grid.size // 2 + 1)
-    inside = np.stack(
-        [shape.implicit(coarse.points(k)).reshape(coarse.size[1], coarse.size[0]) for k in range(int(coarse.size[2]))]
-    )
+    inside = np.stack([field(coarse.points(k)).reshape(coarse.size[1], coarse.size[0]) for k in range(int(coarse.size[2]))])
     for axis in range(3):
         spline = CubicSpline(2.0 * np.arange(inside.shape[axis]), inside, axis=axis)
         inside = spline(np.arange(grid.size[2 - axis]))

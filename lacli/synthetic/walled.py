@@ -81,7 +81,7 @@ def walled(
     shape = sized(seed, volume_ml)
     scene = _scene(shape, thickness_mm, neighbours)
     grid = Grid.around(shape, np.asarray(voxel_mm, dtype=float), MARGIN_MM)
-    inside, valve = distance_fields(shape, grid)
+    inside, valve = distance_fields(shape, grid, shape.implicit)  # its truth is measured along the same field's rays
     rng = np.random.default_rng([20260420, seed])
     hu, rough = _voxels(scene, grid, inside, valve, rng)
     hu = ndimage.gaussian_filter(hu, blur_mm / grid.spacing[::-1])

@@ -139,7 +139,8 @@ def test_fat_of_known_volume(made: synthetic_image.SyntheticImages, built: build
     pool = extraction.surface_of(extraction.blood_pool(made.labels, 2).mask)
     found = fat.segment(made.ct, pool, built.bundle)
     assert found.volume_ml == pytest.approx(made.fat_ml, rel=0.03)
-    assert fat.segment(made.ct, pool, None, "alternative").volume_ml == pytest.approx(made.fat_ml, rel=0.03)
+    # it ends at -45 HU for -30: of what is fat and tissue it takes from 61 % fat on, not from half; and so it finds less
+    assert fat.segment(made.ct, pool, None, "alternative").volume_ml == pytest.approx(0.97 * made.fat_ml, rel=0.01)
     assert sum(found.per_region_ml.values()) == pytest.approx(found.volume_ml, rel=1e-9)
     points, cells, region = fat.cells(found)
     assert len(cells) == found.mask.array.sum() == len(region)

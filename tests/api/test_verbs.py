@@ -99,6 +99,9 @@ def test_motion_that_cannot_be_is_refused_before_anything_is_read(tmp_path: Path
 def test_options_of_a_mesh_are_checked_before_the_file_is_read(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"--cell-size-mm is 0\.1 mm; it must be 0\.2 to 10 mm"):
         anatomy.mesh(tmp_path / "none.nrrd", tmp_path / "out", cell_size_mm=0.1)
+    for wave in (-1.0, 31.0, float("nan")):
+        with pytest.raises(UsageError, match=r"--wave-mm is .* mm; it must be 0 \(nothing is evened\) to 30 mm"):
+            anatomy.mesh(tmp_path / "none.nrrd", tmp_path / "out", wave_mm=wave)
     with pytest.raises(LacliError, match=r"none\.nrrd: no such file"):
         anatomy.mesh(tmp_path / "none.nrrd", tmp_path / "out")
     assert list(tmp_path.iterdir()) == []

@@ -158,4 +158,8 @@ def test_a_study_goes_on_and_a_failure_stays_its_own(table: Path) -> None:
     # what was done from something else is never mixed
     frame.iloc[1:].to_csv(table.parent / "sub-3.csv", index=False)
     shown = _call(table, "--dry-run")
-    assert isinstance(shown.exception, UsageError) and "from another" in str(shown.exception)
+    assert shown.exit_code == 0 and "from another" in " ".join(shown.output.split())
+    shown = _call(table)
+    assert type(shown.exception) is LacliError and "1 of 3 participants failed" in str(shown.exception), shown.output
+    patients = pd.read_csv(study / "patients.csv").set_index("participant_id")
+    assert list(patients["status"]) == ["done", "done", "failed"] and "from another" in patients.loc["sub-3", "reason"]

@@ -16,6 +16,7 @@ from lacli.geometry.surface import Surface
 
 LEAST_ML, MOST_ML = 5.0, 1000.0  # of a left atrium with its veins
 VEIN_MM = 25.0
+LEAST_WALL_MM = 1.0  # from the blood, where a wall's label has holes
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,36 @@ def blood_pool(labels: Image, label: int, margin_mm: float = 8.0) -> Pool:
     check_volume(float(filled.sum()) * labels.voxel_ml, f"label {label}")
     margin = np.ceil(margin_mm / labels.spacing).astype(int)
     return Pool(box.with_array(filled).crop(-margin, high - low + margin), tuple(notes))
+
+
+def within_wall(labels: Image, la: int, wall: int, notes: list[str]) -> Image:
+    """All voxels within the wall's outer side, from its label; where the label has holes it keeps LEAST_WALL_MM from the blood.
+
+    Raises AnatomyError where the label is absent or covers less than half of the blood pool.
+    """
+    if not (labels.array == wall).any():
+        raise AnatomyError(f"label {wall} (atrial wall) has no voxel in the image.")
+    both = labels.with_array(np.isin(labels.array, (la, wall)).astype(np.uint8))
+    pool = blood_pool(both, 1)
+    blood = labels.with_array(labels.array == la).crop(*box(pool.mask, labels))
+    depth = ndimage.distance_transform_edt(~blood.array, sampling=labels.spacing[::-1])
+    filled = (depth <= LEAST_WALL_MM) & ~pool.mask.array
+    share = float(filled.sum()) / max(float((depth <= LEAST_WALL_MM).sum() - blood.array.sum()), 1.0)
+    if share > 0.5:
+        raise AnatomyError(
+            f"label {wall} covers only {100 * (1 - share):.0f} % of the blood pool's surface; is it the atrial wall?"
+        )
+    if filled.any():
+        notes.append(
+            f"{100 * share:.1f} % of the wall next to the blood had no label; it was given {LEAST_WALL_MM:g} mm (openings too)"
+        )
+    return pool.mask.with_array(pool.mask.array | filled)
+
+
+def box(mask: Image, labels: Image) -> tuple[IntArray, IntArray]:
+    """Lowest and one past the highest index (i, j, k) of ``labels`` that a crop of them has."""
+    low = np.round(labels.to_index(mask.origin[None])[0]).astype(int)
+    return low, low + np.array(mask.array.shape[::-1])
 
 
 def check_volume(volume_ml: float, what: str) -> None:

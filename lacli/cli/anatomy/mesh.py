@@ -52,6 +52,14 @@ def command(
     smoothing_mm: Annotated[
         float | None, typer.Option("--smoothing-mm", help="Smoothing of the voxels, mm; default 1.25 coarsest spacings.")
     ] = None,
+    wave_mm: Annotated[
+        float | None,
+        typer.Option(
+            "--wave-mm",
+            help="Shorter waves of the wall's surface are taken out, mm; 0: none. Default: 6.5 voxels of a label map, at least "
+            "8 mm; of a surface none.",
+        ),
+    ] = None,
     landmarks_file: Annotated[Path | None, typer.Option("--landmarks", help="landmarks.toml; what stands there wins.")] = None,
     fibres: Annotated[
         str,
@@ -91,7 +99,7 @@ def command(
         made = anatomy.mesh(
             source, folder, la=la, lv=lv, wall=wall, labels=labels, preset=preset,
             cell_size_mm=cell_size_mm, thickness_mm=thickness_mm, order=order, layers=layers,
-            ring_width_mm=ring_width_mm, smoothing_mm=smoothing_mm, landmarks=landmarks_file, fibres=fibres,
+            ring_width_mm=ring_width_mm, smoothing_mm=smoothing_mm, wave_mm=wave_mm, landmarks=landmarks_file, fibres=fibres,
             frame=frame, unit=unit, accept_low_confidence=accept_low_confidence, also=also or (), figures=pictures, progress=show,
         )  # fmt: skip
     for text in made.warnings:

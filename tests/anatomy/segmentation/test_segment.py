@@ -15,7 +15,6 @@ from scipy.ndimage import gaussian_filter
 from shapes import fibrous_ball
 from typer.testing import CliRunner
 
-from lacli.anatomy import build
 from lacli.anatomy.inputs import extraction
 from lacli.anatomy.inputs.image import Image, read_labels, write
 from lacli.anatomy.segmentation import intensities, regional, road
@@ -93,9 +92,7 @@ def test_the_label_map_is_what_mesh_reads(found: road.Segmented, tmp_path: Path)
     assert found.volume_ml(found.numbers.wall) == pytest.approx(shell_ml, rel=0.06)
     assert found.volume_ml(found.numbers.fat) > 1.0
     notes: list[str] = []
-    pool = extraction.blood_pool(labels, 2)
-    inner = extraction.surface_of(pool.mask)
-    outer = build.outer_surface(labels, 2, found.numbers.wall, inner, build.Options(), notes)
+    outer = extraction.surface_of(extraction.within_wall(labels, 2, found.numbers.wall, notes))
     distance = np.linalg.norm(outer.points - MIDDLE, axis=1)
     assert np.median(distance) == pytest.approx(RADIUS + WALL, abs=0.1)
     assert not notes  # no hole in the wall had to be filled
