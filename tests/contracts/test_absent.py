@@ -195,3 +195,14 @@ def test_targets_are_no_codes(name: str, mean: float, words: str, tmp_path: Path
     (tmp_path / "t.toml").write_text(f'["{name}"]\nmean = {mean}\nsd = 1.0\n')
     with pytest.raises(TableError, match=words):
         read_targets(tmp_path / "t.toml")
+
+
+def test_rows_at_the_end_of_a_box_make_no_others_apart() -> None:
+    """A search leaves many runs at a bound, which differ by rounding: those beside it are as good."""
+    search = np.array([23.999999999998806, 22.497, 23.999999999917797, 22.462, 24.0, 23.831, 24.0, 20.33, 24.0, 22.9, 24.0, 24.0])
+    assert not apart(search).any() and not apart(-search).any()
+    # zeros among them are none of its values, and neither is another unit
+    assert apart(np.where(np.arange(12) == 3, 0.0, np.full(12, 24.0) + 1e-9 * np.arange(12))).tolist() == [
+        k == 3 for k in range(12)
+    ]
+    assert apart(np.where(np.arange(12) == 3, 24000.0, np.full(12, 24.0) + 1e-9 * np.arange(12))).sum() == 1

@@ -27,6 +27,8 @@ _TOLD, _REFUSED = 10.0, 1e4
 # the same for the logarithms in columns of positive numbers
 _IN_DECADES = {_TOLD: 1.0, _REFUSED: 3.0}
 _FEWEST = 8
+# of the others' size, at least, is what no column of one quantity has: rows at one end of a box are alike to the last digits
+_LEAST_GAP = 0.5
 
 
 def is_code(value: float) -> bool:
@@ -49,7 +51,8 @@ def apart(values: FloatArray, times: float = _REFUSED) -> BoolArray:
     """The rows (n,), fewer than half, that a gap of more than ``times`` the range of all others parts from these.
 
     In a column of positive numbers the gap of the logarithms must be larger than their range too: what spans decades has
-    wide gaps at its upper end.
+    wide gaps at its upper end. What is refused is apart by the others' size, too: a search leaves many rows at the end of a box,
+    which differ by rounding alone.
     """
     found = np.zeros(len(values), bool)
     known = values[np.isfinite(values)]
@@ -57,7 +60,7 @@ def apart(values: FloatArray, times: float = _REFUSED) -> BoolArray:
         return found
     for sign in (1.0, -1.0):
         v = np.sort(sign * known)
-        cut = _first_gap(v, times)
+        cut = _first_gap(v, times, least=_LEAST_GAP * np.abs(v[:-1]) if times == _REFUSED else 0.0)
         if cut is not None and sign > 0 and v[0] > 0:
             cut = _first_gap(np.log(v), _IN_DECADES[times], cut)
         if cut is not None:
@@ -65,10 +68,12 @@ def apart(values: FloatArray, times: float = _REFUSED) -> BoolArray:
     return found & np.isfinite(values)
 
 
-def _first_gap(v: FloatArray, times: float, at: int | None = None) -> int | None:
-    """The number of the last value below the first such gap in the upper half of sorted values; ``at``: only there."""
+def _first_gap(v: FloatArray, times: float, at: int | None = None, least: FloatArray | float = 0.0) -> int | None:
+    """The number of the last value below the first such gap in the upper half of sorted values; ``at``: only there; ``least``
+    (n - 1,): of the gap itself."""
     with np.errstate(over="ignore"):
-        wide = (np.diff(v) > times * (v[:-1] - v[0])) & (v[:-1] > v[0])
+        gap = np.diff(v)
+        wide = (gap > times * (v[:-1] - v[0])) & (v[:-1] > v[0]) & (gap > least)
     wide[: (len(v) - 1) // 2] = False
     where = np.flatnonzero(wide)
     if at is not None:
