@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -31,8 +31,11 @@ from lacli.geometry import curves as paths
 from lacli.geometry.surface import Surface, nearest
 
 Say = Callable[[str], None]
-ThroughValve = Callable[[Landmarks], tuple[Landmarks, Surface, Surface | None] | None]
 OUTER_GRID_MM = 0.8
+BELOW_CONTACT = (
+    "the annulus does not show between the labels of atrium and ventricle: the mitral valve was cut below their contact as it is "
+    "on the smoothed surface, up to a voxel too far inside"
+)
 FOLD_DEG = 120.0  # between the normals of two triangles of the wall: a fold
 FINE_MM, UNFOLD_MM = 0.6, 1.5  # voxels and smoothing of a surface whose folds no wall can follow
 THINNED = 0.05  # share of the wall's points that may be thinner than asked without a word
@@ -53,6 +56,17 @@ class Options:
     wave_mm: float | None = None
     layers: int | None = None
     accept_low_confidence: bool = False
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way to cut and wall an atrium: where its openings are, its closed surface, the wall's outer side (None: by thickness),
+    and what is to be told of it."""
+
+    openings: Landmarks
+    surface: Surface
+    outer: Surface | None
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -126,22 +140,20 @@ def _of_labels(
     def outer_of(mask: Image) -> Surface:
         return ripples.evened(extraction.surface_of(mask, options.smoothing_mm, OUTER_GRID_MM), _wave(options, mask))
 
-    def through_valve(found: Landmarks) -> tuple[Landmarks, Surface, Surface | None] | None:
-        """The surfaces led on through the annulus, and the landmarks with its place; None where it does not show in the map."""
-        valve = found.openings.get("mv")
-        if lv is None or contact is None or valve is None:
-            return None
-        tube = valve_tube(
-            labels.crop(*extraction.box(pool.mask, labels)), la, lv, valve, given=given is not None and "mv" in given.openings
-        )
-        if tube is None:
-            return None
-        inner = extraction.surface_of(tube.led_on(pool.mask), options.smoothing_mm, grid)
-        outer = None if within is None else outer_of(tube.led_on(within))
-        return replace(found, openings={**found.openings, "mv": tube.opening}), inner, outer
+    def ways(found: Landmarks) -> Iterator[Way]:
+        """The atrium led on through its annulus, where that shows in the map; else cut where its surface has the contact."""
+        valve, note = found.openings.get("mv"), ""
+        if lv is not None and contact is not None and valve is not None:
+            part = labels.crop(*extraction.box(pool.mask, labels))
+            tube = valve_tube(part, la, lv, valve, given=given is not None and "mv" in given.openings)
+            if tube is not None:
+                inner = extraction.surface_of(tube.led_on(pool.mask), options.smoothing_mm, grid)
+                outer = None if within is None else outer_of(tube.led_on(within))
+                yield Way(replace(found, openings={**found.openings, "mv": tube.opening}), inner, outer)
+            note = BELOW_CONTACT
+        yield Way(found, surface, None if within is None else outer_of(within), note)
 
-    outer = None if within is None else outer_of(within)
-    return _from_closed(surface, [*seen, *said], LPS, options, given, say, notes, pool.mask, outer, through_valve)
+    return _from_closed(surface, [*seen, *said], LPS, options, given, say, notes, pool.mask, ways)
 
 
 def from_mesh(
@@ -172,7 +184,11 @@ def from_surface(
 ) -> Built:
     """Bundle from a repaired surface; ``axes`` None: left and right are told from the shape."""
     seen = list(repaired.rims) if tagged is None else patches.candidates(repaired.surface, repaired.rims, tagged)
-    return _from_closed(repaired.surface, seen, axes, options, given, say, list(repaired.notes), None, repaired.outer)
+
+    def ways(found: Landmarks) -> Iterator[Way]:
+        yield Way(found, repaired.surface, repaired.outer)
+
+    return _from_closed(repaired.surface, seen, axes, options, given, say, list(repaired.notes), None, ways)
 
 
 def _from_closed(
@@ -184,25 +200,14 @@ def _from_closed(
     say: Say,
     notes: list[str],
     mask: Image | None,
-    outer: Surface | None = None,
-    through_valve: ThroughValve | None = None,
+    ways: Callable[[Landmarks], Iterator[Way]],
 ) -> Built:
     say("finding valve, veins and appendage")
     field = None if mask is None else extraction.smooth_field(mask, max(0.8, 0.8 * float(mask.spacing.max())), 1.0)
     found = finding.find(surface, seen, axes, given, field, options.ring_width_mm, options.accept_low_confidence).landmarks
     notes += found.notes
-    say("cutting and meshing the wall")
-    wave = _wave(options, mask)
-    led = through_valve(found) if through_valve is not None else None
-    try:
-        if led is None:
-            raise AnatomyError("the annulus does not show in the map.")
-        words: list[str] = []
-        cavity, bundle, at = _walled(led[1], led[0], options, led[2], wave, words)
-    except AnatomyError:  # cut where the surface itself has the ventricle's contact
-        words = []
-        cavity, bundle, at = _walled(surface, found, options, outer, wave, words)
-    found, notes = at, [*notes, *words]
+    cavity, bundle, found, words = _first_walled(ways(found), options, _wave(options, mask), say)
+    notes = [*notes, *words]
     _say_thinned(bundle, notes)
     _say_unmet(bundle, options.thickness_mm, notes)
     say("coordinates, regions, fibres")
@@ -220,17 +225,35 @@ def _from_closed(
     return Built(described.bundle, found, cavity, tuple(notes), measures)
 
 
-def _walled(
-    surface: Surface, found: Landmarks, options: Options, outer: Surface | None, wave_mm: float, notes: list[str]
-) -> tuple[Surface, Bundle, Landmarks]:
-    """The cavity, the wall's cells, and where the openings were cut in the end."""
-    cavity = clip(surface, found, notes)
-    cavity = ripples.evened(cavity, wave_mm)
+def _first_walled(
+    ways: Iterator[Way], options: Options, wave_mm: float, say: Say
+) -> tuple[Surface, Bundle, Landmarks, list[str]]:
+    """By the first way that leads to a wall: the cavity, the cells, where the openings were cut in the end, and notes.
+
+    Raises AnatomyError, of the last way.
+    """
+    say("cutting")
+    reason: AnatomyError | None = None
+    for number, way in enumerate(ways):
+        if number == 0:
+            say("meshing the wall")
+        try:
+            return _walled(way, options, wave_mm)
+        except AnatomyError as error:
+            reason = error
+    assert reason is not None, "there is a way at least"
+    raise reason
+
+
+def _walled(way: Way, options: Options, wave_mm: float) -> tuple[Surface, Bundle, Landmarks, list[str]]:
+    """As ``_first_walled``, of one way."""
+    notes = [way.note] if way.note else []
+    cavity = ripples.evened(clip(way.surface, way.openings, notes), wave_mm)
     try:
-        return cavity, _shell(cavity, options, outer, notes), found
+        return cavity, _shell(cavity, options, way.outer, notes), way.openings, notes
     except TooTightError:
-        cavity, found = _smoothed(surface, found, notes)
-        return cavity, _shell(cavity, options, outer, notes), found
+        cavity, found = _smoothed(way.surface, way.openings, notes)
+        return cavity, _shell(cavity, options, way.outer, notes), found, notes
 
 
 def _wave(options: Options, mask: Image | None) -> float:

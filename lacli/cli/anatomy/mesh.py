@@ -56,8 +56,8 @@ def command(
         float | None,
         typer.Option(
             "--wave-mm",
-            help="Shorter waves of the wall's surface are taken out, mm; 0: none. Default: 6.5 voxels of a label map, at least "
-            "8 mm; of a surface none.",
+            help="Shorter waves of the wall's surface are taken out, mm; 0: none. Default: 6.5 voxels of a label map, within "
+            "8 to 12 mm; of a surface none.",
         ),
     ] = None,
     landmarks_file: Annotated[Path | None, typer.Option("--landmarks", help="landmarks.toml; what stands there wins.")] = None,

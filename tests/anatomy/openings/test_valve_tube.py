@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from lacli.anatomy import build
 from lacli.anatomy.inputs.image import Image
@@ -98,6 +99,15 @@ def test_the_annulus_of_an_atrium_is_cut_where_it_is_and_the_wall_as_thick() -> 
     assert annulus(again.bundle.points, again.bundle.triangles[again.bundle.tags == PLANES["mv"]][:, :3])[1] == pytest.approx(
         area, rel=0.01
     )
+
+
+def test_where_the_annulus_does_not_show_it_is_told() -> None:
+    """A map that leaves room for leaflets: the ventricle begins a voxel beyond the atrium."""
+    made = images(1, None, (1.5, 1.5, 1.5))
+    room = ndimage.binary_dilation(made.labels.array == LA)
+    apart = made.labels.with_array(np.where(room & (made.labels.array == LV), 0, made.labels.array))
+    built = build.from_labels(apart, LA, LV, build.Options(cell_size_mm=8.0, order=1), say=lambda words: None)
+    assert build.BELOW_CONTACT in built.notes
 
 
 def _section_mm2(shape: object, centre: FloatArray, direction: FloatArray) -> float:
