@@ -1,6 +1,7 @@
 """Cheap linear runs corrected by few quadratic ones: the posterior against quadratic runs alone, and the emulator's error.
 
-    python benchmarks/fidelities.py [--truths 1] [--cell-size-mm 6] [--es-only] [--kinds quadratic linear both] [--out DIR]
+    python benchmarks/fidelities.py [--truths 1] [--cell-size-mm 6] [--es-only] [--kinds quadratic linear both]
+        [--reference-runs N] [--out DIR]
     python benchmarks/fidelities.py --emulator [--data DIR] [--cell-size-mm 5] [--half-width .15] [--held-out 10] [--out DIR]
 
 The first: truths of `benchmarks/patient.py` (synthetic atrium, 90 targets with drawn, correlated errors, made by quadratic cells)
@@ -60,9 +61,16 @@ def log_of(run: SceneSimulator, box: Box, names: tuple[str, ...], file: Path) ->
 
 
 def calibrations(
-    runs: dict[str, SceneSimulator], box: Box, names: tuple[str, ...], number: int, folder: Path, kinds: list[str]
+    runs: dict[str, SceneSimulator],
+    box: Box,
+    names: tuple[str, ...],
+    number: int,
+    folder: Path,
+    kinds: list[str],
+    most: int,
 ) -> dict[str, Any] | None:
-    """Truth ``number`` calibrated by some of ``quadratic``, ``linear`` and ``both``: each beside the quadratic one."""
+    """Truth ``number`` calibrated by some of ``quadratic``, ``linear`` and ``both`` (at most ``most`` quadratic runs correct the
+    others): each beside the quadratic one."""
     rng = np.random.default_rng(number)
     truth = draw_truth(box, rng)
     asked = (*names, "edv_ml")
@@ -72,10 +80,10 @@ def calibrations(
     covariance = error_covariance(names, float(row["edv_ml"]))
     y = row[list(names)].to_numpy(float) + np.linalg.cholesky(covariance) @ rng.standard_normal(len(names))
     targets = Targets(names, y, np.sqrt(np.diag(covariance)), covariance)
-    settings = Settings(seed=number)
+    settings = Settings(seed=number, reference_runs=most)
     found: dict[str, Sequential] = {}
     for kind in kinds:
-        place = folder / ("calibration" if kind == "quadratic" else kind)
+        place = folder / {"quadratic": "calibration", "both": f"both_{most}"}.get(kind, kind)
         own = runs["quadratic" if kind == "quadratic" else "linear"]
         log = log_of(own, box, names, place / (CHEAP if kind == "both" else LOG))
         dear = Reference(runs["quadratic"], log_of(runs["quadratic"], box, names, place / LOG)) if kind == "both" else None
@@ -185,6 +193,7 @@ def main() -> None:
     parser.add_argument("--emulator", action="store_true", help="the emulator's error on a real atrium")
     parser.add_argument("--es-only", action="store_true", help="the targets at end-systole alone")
     parser.add_argument("--kinds", nargs="*", default=list(KINDS), choices=KINDS, help="only these calibrations (with --out)")
+    parser.add_argument("--reference-runs", type=int, default=Settings.reference_runs, help="at most so many correct cheap ones")
     parser.add_argument("--truths", type=int, nargs="*", default=[1])
     parser.add_argument("--seed", type=int, default=1, help="of the synthetic atrium")
     parser.add_argument("--cell-size-mm", type=float)
@@ -213,7 +222,8 @@ def main() -> None:
             rows = emulator(runs, box, choice.half_width, choice.held_out, out / f"emulator_{size:g}mm_{choice.half_width:g}")
         else:
             what = "end_systole" if choice.es_only else "many"
-            made_of = [calibrations(runs, box, names, n, out / f"{what}_{n}", choice.kinds) for n in choice.truths]
+            most = choice.reference_runs
+            made_of = [calibrations(runs, box, names, n, out / f"{what}_{n}", choice.kinds, most) for n in choice.truths]
             rows = [row for row in made_of if row is not None]
     if choice.json:
         print_json({"asked": {"shift_sd": ASKED_SHIFT, "cost": ASKED_COST, "rms_mm": ASKED_MM}, "rows": rows})

@@ -10,7 +10,7 @@ import io
 import os
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,8 +23,8 @@ from lacli.base.processes.process import supervise
 from lacli.motion.field import Field, from_sitk, read_field, to_sitk, write_field
 
 TIMEOUT_S = 1800.0
-# correlation in patches of 5 voxels, three levels, the update smoothed by 5 voxels and the whole by .7: a whole that is smoothed more
-# falls short of large motions, by a tenth at the mitral annulus (docs/methods.md)
+# correlation in patches of 5 voxels, three levels, an update smoothed by 5 voxels and the whole by .7: a whole that is
+# smoothed more falls short of large motions, by a tenth at the mitral annulus (docs/methods.md)
 GREEDY = ("-m", "NCC", "2x2x2", "-n", "60x40x60", "-s", "5.0vox", "0.7vox", "-noise", "0")
 # white noise, of the range of HU, so that the correlation in flat patches is defined: greedy's own is another at every call, and
 # moved a displacement of 2 mm by 0.1 mm, now and then by 0.7
@@ -51,16 +51,17 @@ class Registered:
     peak_memory_mb: float
 
 
-def _greedy(fixed: Image, moving: Image) -> Field:
+def greedy(fixed: Image, moving: Image, settings: Sequence[str] = GREEDY) -> Field:
+    """Greedy's field with ``settings`` (its own command line's). Raises LacliError where it is not installed."""
     try:
         from picsl_greedy import GreedyFloat3D
     except ImportError as error:
         raise LacliError("the engine greedy is not installed: pip install picsl-greedy, or choose --engine demons.") from error
-    greedy: Any = GreedyFloat3D()
-    command = " ".join(["-i fixed moving -o warp -threads 1", *GREEDY])
+    engine: Any = GreedyFloat3D()
+    command = " ".join(["-i fixed moving -o warp -threads 1", *settings])
     one, other = (to_sitk(_with_noise(image, seed)) for seed, image in enumerate((fixed, moving)))
-    greedy.execute(command, out=io.StringIO(), err=io.StringIO(), fixed=one, moving=other, warp=None)
-    return from_sitk(greedy["warp"])
+    engine.execute(command, out=io.StringIO(), err=io.StringIO(), fixed=one, moving=other, warp=None)
+    return from_sitk(engine["warp"])
 
 
 def _with_noise(image: Image, seed: int) -> Image:
@@ -91,7 +92,7 @@ def _demons(fixed: Image, moving: Image) -> Field:
 
 
 ENGINES: dict[str, Engine] = {
-    "greedy": Engine("greedy", f"float {' '.join(GREEDY)} noise {NOISE}", _greedy),
+    "greedy": Engine("greedy", f"float {' '.join(GREEDY)} noise {NOISE}", greedy),
     "demons": Engine("demons", f"diffeomorphic {DEMONS_LEVELS} {DEMONS_STEPS} {DEMONS_SD} {HU_WINDOW}", _demons),
 }
 
