@@ -10,8 +10,13 @@ import pytest
 
 from lacli.anatomy.inputs.image import Image, write
 from lacli.base.errors import LacliError
+from lacli.motion import frames as framing
+from lacli.motion.annulus import annulus_points
 from lacli.motion.field import read_field
-from lacli.motion.registration import ENGINES, register_apart
+from lacli.motion.registration import ENGINES, greedy, register_apart
+from lacli.synthetic import gated
+from lacli.synthetic.atrium import synthesize
+from lacli.synthetic.cycle import Cycle, SpaceMotion
 
 SHIFT = np.array([2.0, -1.0, 1.5])  # mm along x, y, z
 
@@ -62,3 +67,27 @@ def test_a_failed_engine_and_one_that_takes_too_long_are_told(tmp_path: Path) ->
     with pytest.raises(LacliError, match=r"registration \(demons\) failed: it took more than 0 s"):
         register_apart("demons", tmp_path / "fixed.nrrd", tmp_path / "fixed.nrrd", tmp_path / "out.nrrd", timeout_s=0.05)
     assert not (tmp_path / "out.nrrd").exists()
+
+
+@pytest.mark.slow
+def test_the_annulus_goes_all_of_a_large_way() -> None:
+    """8 mm along its axis in images of 1.5 mm, the roof at rest: no more than 2.5 % of the way is lost or found."""
+    seed, thickness, way = 3, 2.0, 8.0
+    bundle, _ = synthesize(seed, None, thickness_mm=thickness, cell_size_mm=8.0, at_ostia=True)
+    x, ring = bundle.points, annulus_points(bundle)
+    axis = x[ring].mean(axis=0) - x.mean(axis=0)
+    axis /= np.linalg.norm(axis)
+    above = np.maximum((x[ring].mean(axis=0) - x) @ axis, 0.0)
+    outward = (x - x.mean(axis=0)) / np.linalg.norm(x - x.mean(axis=0), axis=1, keepdims=True)
+    largest = (
+        way * np.exp(-((above / 25.0) ** 2))[:, None] * axis + 2.0 * (1.0 - np.exp(-((above / 15.0) ** 2)))[:, None] * outward
+    )
+    times = np.arange(5) / 4
+    motion = SpaceMotion.extend(Cycle(times, np.sin(np.pi * times)[:, None, None] ** 2 * largest), x)
+    acquisition = gated.Acquisition(4, (1.5, 1.5, 1.5))
+    first, _, widest, _ = gated.frames(gated.still(seed, None, thickness, acquisition).ct, motion, acquisition, seed)
+    found = greedy(*(framing.around(image, x) for image in (first, widest))).at(x[ring])
+    true = largest[ring]
+    assert (found @ axis).mean() == pytest.approx((true @ axis).mean(), abs=0.025 * way)
+    # along the ring there is little to tell: a third of a voxel
+    assert np.sqrt(((found - true) ** 2).sum(axis=1).mean()) < 0.6
