@@ -24,6 +24,7 @@ from lacli.base.version import __version__
 from lacli.cohort.participants import Participant
 from lacli.cohort.steps import Step
 from lacli.contracts.identity import METHODS, content_hash, solver_digest
+from lacli.motion.registration import ENGINES
 
 TO_DO, DONE, REFUSED = "to do", "done", "refused"
 _TIMEOUT_S = 30 * 86_400.0
@@ -142,9 +143,12 @@ def _otherwise(step: Step, known: dict[str, object], making: Sequence[Step]) -> 
 
 
 def _method(step: Step) -> str:
-    """What carries a step out: this version, its methods, and FreeFEM's scripts where it runs them."""
-    scripts = solver_digest() if step.arguments[0] == "calibrate" else ""
-    return f"lacli {__version__}, methods {content_hash({**METHODS, 'scripts': scripts})[:8]}"
+    """What carries a step out: this version, its methods; where it runs them, FreeFEM's scripts and how frames are registered."""
+    command = step.arguments[0]
+    content: dict[str, object] = {**METHODS, "scripts": solver_digest() if command == "calibrate" else ""}
+    if command == "track":
+        content["engines"] = {name: engine.settings for name, engine in ENGINES.items()}
+    return f"lacli {__version__}, methods {content_hash(content)[:8]}"
 
 
 def _digests(step: Step, making: Sequence[Step] = ()) -> dict[str, str]:
