@@ -31,7 +31,10 @@ from lacli.motion.axes import wall_normals
 from lacli.motion.registration import GREEDY, greedy
 
 USED = ",".join((GREEDY[2], GREEDY[4], GREEDY[6].removesuffix("vox"), GREEDY[7].removesuffix("vox")))
-DEFAULT = (USED, "3x3x3,60x40x30,4.0,1.0", "3x3x3,60x40x60,4.0,0.7", "2x2x2,60x40x60,5.0,1.0", "2x2x2,60x40x60,5.0,0.5")
+DEFAULT = (
+    USED, "3x3x3,60x40x30,4.0,1.0", "3x3x3,60x40x60,4.0,0.7", "2x2x2,60x40x60,5.0,1.0", "2x2x2,60x40x30,5.0,0.7",
+    "2x2x2,60x40x60,5.0,0.5",
+)  # fmt: skip
 ON_WALL_MM = 1.5  # of the endocardium: the truth's points that are the wall's
 
 
@@ -42,7 +45,7 @@ def command(setting: str) -> tuple[str, ...]:
 
 
 def annulus(error: FloatArray, moved: FloatArray, rest: FloatArray) -> dict[str, float]:
-    """Of errors and displacements (n, 3) mm of the annulus's points at rest (n, 3)."""
+    """What the annulus errs by, from errors and displacements (n, 3) mm of its points, which rest at (n, 3) mm."""
     way = moved.mean(axis=0)
     axis = way / np.linalg.norm(way)
     along = error @ axis
@@ -59,7 +62,7 @@ def annulus(error: FloatArray, moved: FloatArray, rest: FloatArray) -> dict[str,
 
 
 def wall(error: FloatArray, moved: FloatArray, normal: FloatArray) -> dict[str, float]:
-    """Of errors and displacements (n, 3) mm of the wall's points with these normals."""
+    """What the wall errs by, from errors and displacements (n, 3) mm of its points with these normals."""
     along = (error * normal).sum(axis=1)
     tangential = error - along[:, None] * normal
     true = moved - (moved * normal).sum(axis=1)[:, None] * normal

@@ -18,7 +18,7 @@ from lacli.base.arrays import FloatArray
 from lacli.base.errors import InputError, UsageError
 from lacli.motion.field import to_sitk
 
-MARGIN_MM = 12.0  # more than the width that the engine smooths an update by; with 25 the error is the same at twice the time
+MARGIN_MM = 12.0  # more than the width that the engine smooths an update by, at voxels to 2.4 mm
 WORK_MM = 0.9
 _LABELS_AT_MOST = 64
 _INSIDE_MM, _OUTSIDE_MM = 2.5, 3.5
