@@ -7,11 +7,13 @@ For each seed an atrium (its own shape and volume, wall of 1 - 4 mm) and a point
 (near its corners quadratic cells of the finest size take up to an hour, and which of several equilibria is found differs), and
 simulated with linear and quadratic cells of several sizes; differences to quadratic cells of --finest-mm are the true errors.
 Runs are kept in FOLDER/runs.jsonl; another call goes on. The model (``lacli/mechanics/numerics/error_model.py``) is fitted to
-all anatomies, and its coverage measured on each by a fit to the others. --times: coverage by time, and how the errors of
+all anatomies of FOLDER (other seeds may be of another --inner or --alpha-times), and its coverage measured on each by a fit to
+the others. --times: coverage by time, and how the errors of
 features, regions and times go together. --over-the-box: what the built-in model is worth on all runs that --times made, also
 nearer to the box's ends (--inner .9) and on softer walls (--alpha-times .55), and the factor that holds its share there.
 --images: atria as patients have them, meshed from label maps of 1 mm voxels by `lacli mesh`, at each size anew; of quadratic
-cells alone, and of the image's own volume with linear ones.
+cells alone, and of the image's own volume with linear ones. --images --times: of both orders and at all times; the model is
+fitted to these, and with it how errors go together.
 --write: what was found becomes the built-in. --bundle: bundles of one more anatomy (coarse ones, the finest last), held against
 the built-in model.
 
@@ -40,16 +42,17 @@ from lacli.contracts.features import KEYS, at_time, parse
 from lacli.contracts.motion import save_motion
 from lacli.contracts.parameters import parameter_box
 from lacli.contracts.scene import build_scene, with_parameters
-from lacli.mechanics.numerics import error_correlation
+from lacli.mechanics.numerics import error_correlation, error_model
 from lacli.mechanics.numerics.cost import laplace, slenderness
 from lacli.mechanics.numerics.error_correlation import measured
-from lacli.mechanics.numerics.error_model import FILE, model_errors, moved_mm, resolution, scale
+from lacli.mechanics.numerics.error_model import FILE, earliness, model_errors, moved_mm, resolution, scale
 from lacli.mechanics.simulation import run_scene
 from lacli.motion.annulus import descend
 from lacli.synthetic.atrium import synthesize
 
 CHOICES = ((1, 6.0), (1, 4.0), (1, 3.0), (2, 6.0), (2, 4.0))
 OF_IMAGES = ((2, 8.0), (2, 6.0), (2, 4.0))
+AT_TIMES = ((1, 8.0), (1, 6.0), (1, 4.0), (2, 6.0))
 VOXEL_MM, DESCENT_MM = 1.0, 8.0
 WALLS_MM = (1.0, 1.5, 2.0, 3.0, 4.0)
 TIMES = "outputs.times=[0.1, 0.2, 0.3, 0.6]"
@@ -122,7 +125,7 @@ def of_seed(folder: Path, seed: int, order: int, cell_mm: float, spread: Spread,
 def collect(
     folder: Path, seeds: range, choices: tuple[tuple[int, float], ...], name: str, spread: Spread, *more: str
 ) -> list[dict[str, Any]]:
-    """All rows of the seeds, those that were kept and those that are simulated now."""
+    """All rows of the folder: those that were kept, of other seeds too, and those that are simulated now."""
     file = folder / name
     rows = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()] if file.is_file() else []
     known = {(row["seed"], row["order"], row["cell_size_mm"]) for row in rows}
@@ -142,7 +145,7 @@ def collect(
                 flush=True,
             )
     last = {(row["seed"], row["order"], row["cell_size_mm"]): row for row in rows}
-    return [row for row in last.values() if row["seed"] in seeds]
+    return list(last.values())
 
 
 def differences(folder: Path, rows: list[dict[str, Any]], finest_mm: float) -> list[Difference]:
@@ -163,11 +166,11 @@ def differences(folder: Path, rows: list[dict[str, Any]], finest_mm: float) -> l
                 parse(name)
             except ValueError:
                 continue
-            size = scale(name, moved[name.partition("@")[2]], where)
+            time = name.partition("@")[2]
+            size = scale(name, moved[time], where)
             if size > 0.0:
-                found.append(
-                    Difference(row["seed"], name, where, value - best[row["seed"]][name], size, row["cell_size_mm"], reference)
-                )
+                error, early = value - best[row["seed"]][name], earliness(moved, time)
+                found.append(Difference(row["seed"], name, where, error, size, row["cell_size_mm"], reference, early))
     return found
 
 
@@ -316,45 +319,60 @@ def main() -> None:
         lines = (choice.folder / "times.jsonl").read_text(encoding="utf-8").splitlines()
         over_the_box(choice.folder, [json.loads(line) for line in lines], 4.0, choice.write)
         return
-    if choice.times:
-        rows = collect(choice.folder, seeds, ((1, 8.0), (1, 6.0), (1, 4.0), (2, 6.0), (2, 4.0)), "times.jsonl", spread, TIMES)
-        print_table("By time", ["order", "cells (mm)", "time", "errors", "within twice (%)"], by_time(choice.folder, rows, 4.0))
-        found = {}
-        for order in (1, 2):
-            samples = over_stated(choice.folder, rows, 4.0, order)
-            groups = found[str(order)] = measured(sample for own in samples.values() for sample in own)
-            for apart in (0.0, error_correlation.APART):
-                mean, most = jointly(samples, order, apart)
-                print(f"order {order}, {apart:g} of an error apart: unseen chi^2 over p: mean {mean:.2f}, most {most:.1f}")
-            largest = sorted(groups.items(), key=lambda item: -abs(item[1]))[:12]
-            print(f"order {order}: " + "; ".join(f"{name} {value:.2f}" for name, value in largest))
-        if choice.write:
-            write_json(
-                error_correlation.FILE, {"finest_mm": 4.0, "anatomies": len({row["seed"] for row in rows}), "orders": found}
-            )
-            print(f"written: {error_correlation.FILE}")
-        return
     choices = OF_IMAGES if choice.images else CHOICES
-    rows = collect(choice.folder, seeds, (*choices, (2, choice.finest_mm)), "runs.jsonl", spread)
-    data = differences(choice.folder, rows, choice.finest_mm)
-    document = read_json(FILE) | {"finest_mm": choice.finest_mm}
+    name, more = "runs.jsonl", []
+    if choice.times:
+        choices, name, more = (*AT_TIMES, (2, 8.0), (2, 4.0)) if choice.images else AT_TIMES, "times.jsonl", [TIMES]
+    finest_mm = 4.0 if choice.times and not choice.images else choice.finest_mm
+    rows = collect(choice.folder, seeds, (*choices, (2, finest_mm)), name, spread, *more)
+    if choice.images or not choice.times:
+        fitted(choice.folder, rows, finest_mm, choice)
+    if choice.times:
+        together(choice.folder, rows, finest_mm, choice.write)
+
+
+def fitted(folder: Path, rows: list[dict[str, Any]], finest_mm: float, choice: argparse.Namespace) -> None:
+    """The model of the rows' errors: its coverage of anatomies left out, printed; written where that is asked."""
+    data, document = differences(folder, rows, finest_mm), read_json(FILE) | {"finest_mm": finest_mm}
     table = []
     for order in sorted({d.where.order for d in data}):
         own = [d for d in data if d.where.order == order]
         model, by, covered = fit(own), factor(own), coverage(own)
         anatomies, share = len(covered), float(np.mean(list(covered.values())))
+        early = model.early if choice.times else document["orders"][str(order)]["early"]
         document["orders"][str(order)] = {
-            "size": model.size, "t": model.t, "features": model.features, "factor": by, "anatomies": anatomies, "coverage": share,
+            "size": model.size, "t": model.t, "early": early, "features": model.features, "factor": by, "anatomies": anatomies,
+            "coverage": share,
         }  # fmt: skip
-        table.append([order, anatomies, len(own), model.size, model.t, by, 100.0 * share, 100.0 * min(covered.values()), ">= 93"])
+        worst = 100.0 * min(covered.values())
+        table.append([order, anatomies, len(own), model.size, model.t, early, by, 100.0 * share, worst, ">= 93"])
     if choice.images:
         known = document["orders"]["1"]
-        known["features"]["edv_ml"] = constant(imaged(choice.folder, rows, choice.finest_mm), known["size"], known["t"])
-    head = ["order", "anatomies", "errors", "power of h / L, turn", "power of t / h", "factor"]
+        known["features"]["edv_ml"] = constant(imaged(folder, rows, finest_mm), known["size"], known["t"])
+    head = ["order", "anatomies", "errors", "power of h / L, turn", "power of t / h", "power of d_ES / d", "factor"]
     print_table("Model of the errors", [*head, "unseen within twice the stated (%)", "worst anatomy (%)", "asked (%)"], table)
     if choice.write:
         write_json(FILE, document)
+        error_model._model.cache_clear()
         print(f"written: {FILE}")
+
+
+def together(folder: Path, rows: list[dict[str, Any]], finest_mm: float, write: bool) -> None:
+    """The built-in model by time, and how errors go together; written where that is asked."""
+    print_table("By time", ["order", "cells (mm)", "time", "errors", "within twice (%)"], by_time(folder, rows, finest_mm))
+    found = {}
+    for order in (1, 2):
+        samples = over_stated(folder, rows, finest_mm, order)
+        groups = found[str(order)] = measured(sample for own in samples.values() for sample in own)
+        for apart in (0.0, error_correlation.APART):
+            mean, most = jointly(samples, order, apart)
+            print(f"order {order}, {apart:g} of an error apart: unseen chi^2 over p: mean {mean:.2f}, most {most:.1f}")
+        largest = sorted(groups.items(), key=lambda item: -abs(item[1]))[:12]
+        print(f"order {order}: " + "; ".join(f"{name} {value:.2f}" for name, value in largest))
+    if write:
+        anatomies = len({row["seed"] for row in rows})
+        write_json(error_correlation.FILE, {"finest_mm": finest_mm, "anatomies": anatomies, "orders": found})
+        print(f"written: {error_correlation.FILE}")
 
 
 if __name__ == "__main__":

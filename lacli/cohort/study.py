@@ -24,6 +24,7 @@ from lacli.base.version import __version__
 from lacli.cohort.participants import Participant
 from lacli.cohort.steps import Step
 from lacli.contracts.identity import METHODS, content_hash, solver_digest
+from lacli.mechanics.numerics.stated import coefficients
 from lacli.motion.registration import ENGINES
 
 TO_DO, DONE, REFUSED = "to do", "done", "refused"
@@ -143,9 +144,12 @@ def _otherwise(step: Step, known: dict[str, object], making: Sequence[Step]) -> 
 
 
 def _method(step: Step) -> str:
-    """What carries a step out: this version, its methods; where it runs them, FreeFEM's scripts and how frames are registered."""
+    """What carries a step out: this version, its methods; where it uses them, FreeFEM's scripts, the model of discretisation
+    errors, and how frames are registered."""
     command = step.arguments[0]
     content: dict[str, object] = {**METHODS, "scripts": solver_digest() if command == "calibrate" else ""}
+    if command == "calibrate":
+        content["errors"] = coefficients()
     if command == "track":
         content["engines"] = {name: engine.settings for name, engine in ENGINES.items()}
     return f"lacli {__version__}, methods {content_hash(content)[:8]}"
@@ -184,6 +188,14 @@ def content_digest(path: Path) -> str:
     return digest.hexdigest()[:32]
 
 
+def last_words(lines: Sequence[str]) -> str:
+    """Why a command ended, by the last lines it wrote: what lacli said, else the last that has words, without the frame that
+    stands around refused options; '' where there are none."""
+    bare = [line.strip("│╭╮╰╯─ \t\n") for line in lines]
+    said = [line for line in bare if line.startswith("lacli: ")] or [line for line in bare if line]
+    return said[-1].removeprefix("lacli: ").strip() if said else ""
+
+
 def _do(step: Step, folder: Path, wanted: Callable[[], bool]) -> None:
     """Run the step. Raises InputError with its last words where it fails."""
     before = _digests(step)
@@ -196,8 +208,7 @@ def _do(step: Step, folder: Path, wanted: Callable[[], bool]) -> None:
     if ended.cut == "cancelled":
         raise Cancelled(f"cancelled during {step.name}; what is done is kept.")
     if ended.exit_code != 0 or ended.cut:
-        said = [line for line in ended.last_lines if line.startswith("lacli: ")] or [w for w in ended.last_lines if w.strip()]
-        why = said[-1].removeprefix("lacli: ").strip() if said else f"exit code {ended.exit_code}"
+        why = last_words(ended.last_lines) or f"exit code {ended.exit_code}"
         raise InputError(f"{ended.cut + ': ' if ended.cut else ''}{why} (see {log})")
     if not step.product.exists():
         raise InputError(f"{step.name} left no {step.product} (see {log})")

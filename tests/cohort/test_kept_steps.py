@@ -77,9 +77,12 @@ CHANGES: dict[str, Change] = {
     "the version": _patched("__version__", "99"),
     "a method": _patched("METHODS", study.METHODS | {"chain": 99}),
     "FreeFEM's scripts": _patched("solver_digest", lambda: "others"),
+    "the model of discretisation errors": _patched("coefficients", lambda: {"error_model": {"held": 0.5}}),
     "how frames are registered": _patched("ENGINES", {"greedy": SimpleNamespace(settings="others")}),
 }
-OF_ONE_STEP = {"FreeFEM's scripts": "calibrate", "how frames are registered": "track"}
+OF_ONE_STEP = {
+    "FreeFEM's scripts": "calibrate", "the model of discretisation errors": "calibrate", "how frames are registered": "track",
+}  # fmt: skip
 
 
 @settings(max_examples=80, deadline=None)

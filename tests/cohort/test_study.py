@@ -337,3 +337,10 @@ def test_tables_are_gathered_and_written_by_one_at_a_time(tmp_path: Path, monkey
     monkeypatch.setattr(summaries, "write_summary", write)
     run_cohort(table, tmp_path / "study")
     assert held == [True] and not list((tmp_path / "study").glob(".lock*"))
+
+
+def test_a_refused_option_is_told_without_the_frame_around_it() -> None:
+    framed = ("Try 'lacli calibrate --help' for help.", "╭─ Error ╮", "│ Invalid value for '--max-runs' │", "╰───────╯")
+    assert study.last_words(framed) == "Invalid value for '--max-runs'"
+    assert study.last_words(("lacli: no targets.", "╰──╯", "bye")) == "no targets."
+    assert study.last_words(("────", "")) == ""

@@ -2,7 +2,8 @@
 
 With h the mean edge of the endocardium's triangles, t the wall's mean thickness, L the square root of the endocardium's area
 and s the feature's scale (``scale``), the typical error of linear cells is s exp(c + p ln(h / L) + q ln(t / h)): p and q by the
-order of the cells, c by the order and the feature's key; at times of less motion than end-systole's it falls slower than that.
+order of the cells, c by the order and the feature's key. At times of less motion than end-systole's errors fall slower than the
+motion, by a power e of the order: their scale is s_t (d_ES / d_t)^e.
 Quadratic cells bend, and what is left is the shape that a cell does not follow: instead of h / L stands the angle that the
 endocardium turns by from a triangle to the next, root mean square, for imaged atria are rougher than synthetic ones. What is
 stated is the typical error times a factor, such that 95 % of the true errors of anatomies which the fit has not seen lie within
@@ -31,8 +32,6 @@ from lacli.geometry.curves import edge_table, side_pairs
 from lacli.geometry.tetrahedra import volumes
 from lacli.geometry.triangles import area_normals
 
-# errors fall slower than the motion towards end-diastole: their scale is d_t (d_ES / d_t)^EARLY (benchmarks/errors.py)
-EARLY = 0.4
 # the turn from triangle to triangle falls with their edges to that power, on synthetic atria; on imaged ones to .65 - .85
 _TURN = 0.85
 LEAST_TURN = 0.02  # rad: no atrium is flatter
@@ -105,6 +104,12 @@ def moved_mm(features: Mapping[str, Any]) -> dict[str, float]:
     return found
 
 
+def earliness(moved: Mapping[str, float], time: str) -> float:
+    """ln(d_ES / d_t) by ``moved_mm``: 0 at end-systole, where nothing is known of it, or where the body moved further."""
+    now, most = moved[time], moved.get("", 0.0)
+    return math.log(most / now) if 0.0 < now < most else 0.0
+
+
 def scale(name: str, moved: float, where: Resolution) -> float:
     """A feature's scale in its unit: the mean displacement d (mm) for lengths, d L^2 for volumes (mL), d / L for strains; L^3 for
     the volume at end-diastole, which is the image's and does not hang on the motion."""
@@ -131,8 +136,8 @@ def model_errors(features: Mapping[str, Any], where: Resolution) -> dict[str, fl
             continue
         time = name.partition("@")[2]
         if time in moved:
-            late = (moved[""] / moved[time]) ** EARLY if time and 0.0 < moved[time] < moved.get("", 0.0) else 1.0
-            found[name] = late * scale(name, moved[time], where) * math.exp(constant + shape) * model["factor"]
+            early = model["early"] * earliness(moved, time)
+            found[name] = scale(name, moved[time], where) * math.exp(constant + shape + early) * model["factor"]
     return found
 
 

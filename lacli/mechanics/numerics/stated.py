@@ -8,10 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from lacli.base.documents import read_json
+from lacli.base.errors import InputError
 from lacli.contracts import bundle as bundles
 from lacli.contracts.bundle import Bundle
 from lacli.contracts.scene import Scene
 from lacli.contracts.targets import Targets
+from lacli.mechanics.numerics import error_correlation, error_model
 from lacli.mechanics.numerics.accuracy import known_errors
 from lacli.mechanics.numerics.error_correlation import correlation
 from lacli.mechanics.numerics.error_model import model_errors, resolution
@@ -25,6 +28,11 @@ class Stated:
 
     errors: dict[str, float]
     source: dict[str, str]
+
+
+def coefficients() -> dict[str, Any]:
+    """All that the model of errors and of how they go together was fitted to be: what targets are widened by hangs on it."""
+    return {file.stem: read_json(file, error=InputError) for file in (error_model.FILE, error_correlation.FILE)}
 
 
 def stated_errors(scene: Scene, bundle: Bundle, features: Mapping[str, Any]) -> Stated:

@@ -26,7 +26,7 @@ WHERE = Resolution(1, 4.0, 100.0, 2.0, 0.3)
 def plain(monkeypatch: pytest.MonkeyPatch) -> None:
     """A model with round coefficients: typical errors are 8 h / L of the scale for d_roof, 16 h / L for volumes."""
     features = {"d_roof_mm": math.log(8.0), "volume_ml": math.log(16.0), "area_strain_roof": 0.0}
-    order = {"size": 1.0, "t": 1.0, "features": features, "factor": 3.0}
+    order = {"size": 1.0, "t": 1.0, "features": features, "factor": 3.0, "early": 0.5}
     monkeypatch.setattr(error_model, "_model", lambda: {"1": order, "2": {**order, "size": 3.0}})
 
 
@@ -135,11 +135,12 @@ def test_what_was_measured_comes_first_and_the_source_is_told(tmp_path: Path) ->
 
 
 def test_errors_fall_slower_than_the_motion() -> None:
-    where = error_model.Resolution(1, 4.0, 120.0, 2.0, 0.2)
+    where, early = error_model.Resolution(1, 4.0, 120.0, 2.0, 0.2), error_model._model()["1"]["early"]
+    assert 0.0 < early < 1.2, "errors that grow towards end-diastole, or faster than the motion falls"
     features = {"d_global_mm": 8.0, "d_roof_mm": 7.0, "d_global_mm@0.1": 2.0, "d_roof_mm@0.1": 1.0}
     found = error_model.model_errors(features, where)
-    # a quarter of the motion: 2 / 8 x 4^.4 of the error
-    assert found["d_roof_mm@0.1"] == pytest.approx(0.25 * 4.0**0.4 * found["d_roof_mm"])
+    # a quarter of the motion: 2 / 8 x 4^e of the error
+    assert found["d_roof_mm@0.1"] == pytest.approx(0.25 * 4.0**early * found["d_roof_mm"])
     alone = error_model.model_errors({k: v for k, v in features.items() if "@" in k}, where)
     assert alone["d_roof_mm@0.1"] == pytest.approx(0.25 * found["d_roof_mm"]), "nothing is known of end-systole"
 
