@@ -63,9 +63,16 @@ def test_the_dry_run_runs_nothing(table: Path) -> None:
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [("[calibrate]\nfirst-run = 3\n", "has no option --first-run"), ("[fat]\nfigures = false\n", "--no-figures")],
+    [
+        ("[calibrate]\nfirst-run = 3\n", "has no option --first-run"),
+        ("[fat]\nfigures = false\n", "--no-figures"),
+        ("[calibrate]\nmax-runs = 2\n", "[calibrate]: Invalid value for '--max-runs'"),
+        ('[mesh]\ncell-size-mm = "big"\n', "[mesh]: Invalid value for '--cell-size-mm'"),
+        ('[track]\nwork-mm = "wide"\n', "[track]: Invalid value for '--work-mm'"),
+        ('[compare]\nparticles = "many"\n', "[compare]: Invalid value for '--particles'"),
+    ],
 )
-def test_an_option_that_no_command_has_is_told_before(table: Path, text: str, words: str) -> None:
+def test_an_option_that_a_command_would_refuse_is_told_before(table: Path, text: str, words: str) -> None:
     (table.parent / "settings.toml").write_text(text)
     shown = _call(table)
     assert isinstance(shown.exception, UsageError) and words in str(shown.exception)

@@ -82,19 +82,30 @@ def command(
 
 
 def _check_options(settings: Path | None) -> None:
-    """Options of the settings that no command has are told before anything runs."""
+    """Options of the settings that no command has, and values that it refuses, are told before anything runs."""
     import typer.main
 
     from lacli.cli.main import build
     from lacli.cohort.steps import read_settings
 
-    for name, table in read_settings(settings).options.items():
+    given = read_settings(settings)
+    for name, table in given.options.items():
         group: Any = typer.main.get_command(build({name}))
-        known = {text for p in group.commands[name].params for text in (*p.opts, *p.secondary_opts)}
+        params = group.commands[name].params
+        known = {text for p in params for text in (*p.opts, *p.secondary_opts)}
         for option, value in table.items():
             text = f"--no-{option}" if value is False else f"--{option}"
             if text not in known:
                 raise UsageError(f"{settings}: [{name}] {option} = {value}: `lacli {name}` has no option {text}.")
+        # what each patient's call gives stands empty: the command itself is not run
+        needed = [p for p in params if p.required and not any(text.removeprefix("--") in table for text in p.opts)]
+        words = [word for p in needed if p.param_type_name == "option" for word in (p.opts[0], "-")]
+        places = ["-" for p in needed if p.param_type_name == "argument"]
+        try:
+            group.commands[name].make_context(name, [*given.arguments(name), *words, "--", *places])
+        except typer.BadParameter as error:
+            if error.param is not None and error.param not in needed:
+                raise UsageError(f"{settings}: [{name}]: {error.format_message()}") from error
 
 
 def _cost_words(cost: dict[str, Any]) -> str:
