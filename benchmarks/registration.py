@@ -3,7 +3,7 @@
     python benchmarks/registration.py FOLDER... [--frames 2 4] [--settings PATCH,ITERATIONS,UPDATE,WHOLE ...]
 
 Each FOLDER is a patient that ``benchmarks/track.py`` or ``lacli synthesize --gated`` wrote (bundle, frames, truth). A setting is
-the patch (2x2x2), iterations by level (60x40x30), and the widths, in voxels, by which an update and the whole are smoothed.
+the patch (2x2x2), iterations by level (60x40x60), and the widths, in voxels, by which an update and the whole are smoothed.
 Errors are of the frames asked for, in mm: of the wall, means along its normal and along itself; of the mitral annulus along its
 way, its tilt (root mean square of what is linear over it), and a point's root mean square. Falls: the share of a frame's way
 that is lost (annulus, and the wall along itself).
@@ -32,7 +32,7 @@ from lacli.motion.registration import GREEDY, greedy
 
 USED = ",".join((GREEDY[2], GREEDY[4], GREEDY[6].removesuffix("vox"), GREEDY[7].removesuffix("vox")))
 DEFAULT = (
-    USED, "3x3x3,60x40x30,4.0,1.0", "3x3x3,60x40x60,4.0,0.7", "2x2x2,60x40x60,5.0,1.0", "2x2x2,60x40x60,5.0,0.7",
+    USED, "3x3x3,60x40x30,4.0,1.0", "3x3x3,60x40x60,4.0,0.7", "2x2x2,60x40x60,5.0,1.0", "2x2x2,60x40x30,5.0,0.7",
     "2x2x2,60x40x60,5.0,0.5",
 )  # fmt: skip
 ON_WALL_MM = 1.5  # of the endocardium: the truth's points that are the wall's

@@ -25,7 +25,7 @@ from lacli.motion.field import Field, from_sitk, read_field, to_sitk, write_fiel
 TIMEOUT_S = 1800.0
 # correlation in patches of 5 voxels, three levels, an update smoothed by 5 voxels and the whole by .7: a whole that is
 # smoothed more falls short of large motions, by a tenth at the mitral annulus (docs/methods.md)
-GREEDY = ("-m", "NCC", "2x2x2", "-n", "60x40x30", "-s", "5.0vox", "0.7vox", "-noise", "0")
+GREEDY = ("-m", "NCC", "2x2x2", "-n", "60x40x60", "-s", "5.0vox", "0.7vox", "-noise", "0")
 # white noise, of the range of HU, so that the correlation in flat patches is defined: greedy's own is another at every call, and
 # moved a displacement of 2 mm by 0.1 mm, now and then by 0.7
 NOISE = 1e-3
