@@ -1,13 +1,17 @@
 """What the error of a tracked mitral annulus does to the features that are held against targets.
 
-Simulations hold the annulus where tracking says. What is wrong there is wrong in all frames at once, for it is a share of the
-way that was lost or found: so two runs, with the annulus as tracked and by one standard deviation farther, tell how all features
-move with it, and that is an error of the targets that has one size and one sign for all.
+Simulations hold the annulus where tracking says. What is wrong there is wrong in all frames at once: it goes too far or aside,
+is tilted or too wide (``motion.annulus.off_modes``). So a run with the annulus as tracked, and one for each of these ways to be
+wrong by one standard deviation, tell how all features move with it: errors of the targets that have one sign for all.
+
+The stated error of a point is shared equally between those ways. What varies faster along the ring is felt near it alone; the
+ways have its share of the error too, which makes them rather too large.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,7 +39,8 @@ def known_share(scene: Scene) -> float:
 
     if scene.motion.annulus != "bundle" or not (scene.anatomy.bundle / MOTION).is_file():
         return 0.0
-    return known_error(scene.anatomy.bundle) or 0.0
+    known = known_error(scene.anatomy.bundle)
+    return 0.0 if known is None else known[1]
 
 
 def left_out(share: float) -> str:
@@ -45,24 +50,27 @@ def left_out(share: float) -> str:
 
 def annulus_effects(
     scene: Scene, run: Scene, box: Box, targets: Targets, simulator: Callable[[Scene], SceneSimulator]
-) -> tuple[dict[str, float], str]:
-    """By target what one standard deviation of the annulus's error changes (its unit), and what is told of it in words; nothing
-    where the scene's annulus is not tracked or its error not known.
+) -> tuple[dict[str, list[float]], str]:
+    """By target what one standard deviation of each way that the annulus can be wrong changes (its unit), and what is told of it
+    in words; nothing where the scene's annulus is not tracked or its error not known.
 
-    Of two runs of ``run`` (the scene, or its cheap companion) in the box's middle, at the mean of what is known of an input.
+    Of runs of ``run`` (the scene, or its cheap companion) in the box's middle, at the mean of what is known of an input.
     Where the scene has no answer there, the words say so. Raises LacliError where the machine ended one, InputError.
     """
     import pandas as pd
 
-    if not (error := known_share(scene)):
+    from lacli.motion.annulus import MODES, known_error
+
+    if not (share := known_share(scene)) or (known := known_error(scene.anatomy.bundle)) is None:
         return {}, ""
     middle = (box.lower + box.upper) / 2
-    known = {prior.name: prior.mean for prior in targets.priors or () if np.isfinite(prior.mean)}
-    told = [known.get(name, at) for name, at in zip(box.names, middle, strict=True)]
-    row = pd.DataFrame([np.clip(told, box.lower, box.upper)], columns=list(box.names))
+    told = {prior.name: prior.mean for prior in targets.priors or () if np.isfinite(prior.mean)}
+    at = [told.get(name, value) for name, value in zip(box.names, middle, strict=True)]
+    row = pd.DataFrame([np.clip(at, box.lower, box.upper)], columns=list(box.names))
     found = []
-    for times in (1.0, 1.0 + error):
-        moved = run.motion.model_copy(update={"annulus_times": times * run.motion.annulus_times})
+    own = np.array(run.motion.annulus_off_mm or [0.0] * MODES)
+    for off in (0.0 * own, *np.eye(MODES) * known[0] / math.sqrt(MODES)):
+        moved = run.motion.model_copy(update={"annulus_off_mm": tuple(map(float, own + off)) if (own + off).any() else ()})
         ((_, outcome),) = simulator(run.model_copy(update={"motion": moved}))(row)
         if outcome.lost:  # it says nothing of the scene: an answer without it would be kept for good
             raise LacliError(
@@ -70,30 +78,33 @@ def annulus_effects(
                 f"{outcome.message} Call again."
             )
         if outcome.status != "done":
-            return {}, f"{left_out(error)}. A run that would tell what this changes ended by {outcome.kind} ({outcome.message})"
+            return {}, f"{left_out(share)}. A run that would tell what this changes ended by {outcome.kind} ({outcome.message})"
         found.append(outcome.outputs)
-    as_tracked, farther = found
-    there = [name for name in targets.names if name in as_tracked and name in farther]
-    effects = {name: float(f"{farther[name] - as_tracked[name]:.{_DIGITS}g}") for name in there}
-    most = max(effects, key=lambda name: abs(effects[name]) / targets.sd[targets.names.index(name)], default="")
+    as_tracked, *others = found
+    there = [name for name in targets.names if all(name in outputs for outputs in found)]
+    effects = {name: [float(f"{one[name] - as_tracked[name]:.{_DIGITS}g}") for one in others] for name in there}
+    shares = {name: math.hypot(*effects[name]) / targets.sd[targets.names.index(name)] for name in there}
+    most = max(shares, key=lambda name: shares[name], default="")
     if not most:
         return {}, ""
-    share = abs(effects[most]) / targets.sd[targets.names.index(most)]
     return effects, (
-        f"the tracked annulus is known to {100 * error:.0f} % of its way: this is in the targets' errors, most in {most} "
-        f"({share:.1f} standard deviations of its own)"
+        f"a point of the tracked annulus is known to {known[0]:.2g} mm, {100 * share:.0f} % of its way: that it goes too far or "
+        f"aside, is tilted or too wide is in the targets' errors, most in {most} ({shares[most]:.1f} sd of its own)"
     )
 
 
-def with_annulus(targets: Targets, effects: Mapping[str, float]) -> Targets:
-    """The targets with an error that moves all by these effects (their units) at once."""
-    if not any(effects.values()):
+def with_annulus(targets: Targets, effects: Mapping[str, Sequence[float]]) -> Targets:
+    """The targets with errors that each move all by these effects (their units) at once."""
+    ways = max(map(len, effects.values()), default=0)
+    moves = np.array([effects.get(name, [0.0] * ways) for name in targets.names]).reshape(len(targets.names), ways)
+    sd = np.linalg.norm(moves, axis=1)
+    if not sd.any():
         return targets
-    signs = np.sign([effects.get(name, 0.0) for name in targets.names])
-    return targets.widened({name: abs(value) for name, value in effects.items()}, np.outer(signs, signs))
+    unit = moves / np.where(sd > 0.0, sd, 1.0)[:, None]
+    return targets.widened(dict(zip(targets.names, map(float, sd), strict=True)), unit @ unit.T)
 
 
-def write_effects(folder: Path, effects: Mapping[str, float]) -> None:
+def write_effects(folder: Path, effects: Mapping[str, Sequence[float]]) -> None:
     """Beside a calibration what its targets were widened by; nothing of an earlier one stays where there is none."""
     if effects:
         write_json(folder / FILE, dict(effects))
@@ -101,11 +112,17 @@ def write_effects(folder: Path, effects: Mapping[str, float]) -> None:
         (folder / FILE).unlink(missing_ok=True)
 
 
-def read_effects(folder: Path) -> dict[str, float]:
+def read_effects(folder: Path) -> dict[str, list[float]]:
     """What ``write_effects`` left. Raises InputError where it is damaged."""
     if not (folder / FILE).is_file():
         return {}
     told = read_json(folder / FILE, error=InputError)
-    if not isinstance(told, dict) or not all(isinstance(value, (int, float)) and np.isfinite(value) for value in told.values()):
-        raise InputError(f"{folder / FILE}: not the effects of an annulus's error, a finite number for each target.")
-    return {str(name): float(value) for name, value in told.items()}
+    rows: list[list[float]] = [row for row in told.values() if _numbers(row)] if isinstance(told, dict) else []
+    if not rows or len(rows) < len(told) or len(set(map(len, rows))) > 1:
+        raise InputError(f"{folder / FILE}: not the effects of an annulus's error, as many finite numbers for each target.")
+    return dict(zip(map(str, told), rows, strict=True))
+
+
+def _numbers(row: object) -> bool:
+    numbers = row if isinstance(row, list) else [None]
+    return all(isinstance(one, (int, float)) and not isinstance(one, bool) and math.isfinite(one) for one in numbers)

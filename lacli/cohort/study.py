@@ -25,6 +25,7 @@ from lacli.cohort.participants import Participant
 from lacli.cohort.steps import Step
 from lacli.contracts.identity import METHODS, content_hash, solver_digest
 from lacli.mechanics.numerics.stated import coefficients
+from lacli.motion.annulus import MODES
 from lacli.motion.registration import ENGINES
 
 TO_DO, DONE, REFUSED = "to do", "done", "refused"
@@ -145,11 +146,11 @@ def _otherwise(step: Step, known: dict[str, object], making: Sequence[Step]) -> 
 
 def _method(step: Step) -> str:
     """What carries a step out: this version, its methods; where it uses them, FreeFEM's scripts, the model of discretisation
-    errors, and how frames are registered."""
+    errors, the ways that an annulus can be wrong, and how frames are registered."""
     command = step.arguments[0]
     content: dict[str, object] = {**METHODS, "scripts": solver_digest() if command == "calibrate" else ""}
     if command == "calibrate":
-        content["errors"] = coefficients()
+        content["errors"] = {**coefficients(), "annulus": MODES}
     if command == "track":
         content["engines"] = {name: engine.settings for name, engine in ENGINES.items()}
     return f"lacli {__version__}, methods {content_hash(content)[:8]}"

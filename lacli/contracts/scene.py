@@ -62,10 +62,11 @@ class Scene(Section):
                 f"numerics.settle_ed would do nothing where {why}: what settles is a wall that holds EDP by its prestrain; "
                 "leave numerics.settle_ed out"
             )
-        if self.motion.annulus_times != 1.0 and self.motion.annulus != "bundle":
+        idle = {"annulus_times": self.motion.annulus_times != 1.0, "annulus_off_mm": bool(self.motion.annulus_off_mm)}
+        for name in (name for name, given in idle.items() if given and self.motion.annulus != "bundle"):
             raise ValueError(
-                f'motion.annulus_times would do nothing where motion.annulus is "{self.motion.annulus}": it is of the frames '
-                "of the bundle; leave motion.annulus_times out"
+                f'motion.{name} would do nothing where motion.annulus is "{self.motion.annulus}": it is of the frames '
+                f"of the bundle; leave motion.{name} out"
             )
         if self.outputs.conduit and self.outputs.times:
             raise ValueError(

@@ -188,9 +188,21 @@ class MotionSettings(Section):
         description="motion of the mitral annulus: the frames of the bundle, a rigid descent along its axis, or none",
     )
     annulus_times: Number = _default("motion.annulus_times")
+    annulus_off_mm: tuple[Number, ...] = Field(
+        default=(),
+        description="errors of the annulus's frames (annulus = bundle), six or none: root mean square lengths (mm) at "
+        "end-systole along its way, aside (two), of a tilt (two), of a wider ring; they grow with its displacement",
+    )
     amplitude_mm: Number = _default("motion.amplitude_mm")
     es_time: Number = _default("motion.es_time")
     frames: int = _default("motion.frames")
+
+    @field_validator("annulus_off_mm")
+    @classmethod
+    def _six_or_none(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+        if len(value) not in (0, 6) or any(abs(one) > 20.0 for one in value):
+            raise ValueError("needs six lengths from -20 to 20 mm, or none")
+        return value
 
 
 class Numerics(Section):

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lacli.base.arrays import IntArray
+from lacli.base.arrays import FloatArray, IntArray
 from lacli.base.errors import AnatomyError, InputError
 from lacli.base.schema import Array, array_file
 from lacli.contracts.bundle import Bundle
@@ -20,6 +20,8 @@ from lacli.contracts.sections import MotionSettings
 
 ERROR = "annulus_error_mm"  # array of motion.npz: root mean square error of the tracked annulus's points at end-systole
 MOST = 0.5  # of the displacement: a motion that is known to no more is none
+# how the annulus as a whole can be wrong: farther along its way, aside (two directions), tilted (about two axes), wider
+MODES = 6
 
 
 def annulus_points(bundle: Bundle) -> IntArray:
@@ -95,14 +97,42 @@ def asked_motion(settings: MotionSettings, bundle: Bundle, folder: Path) -> Moti
     gap = float(np.abs(motion.positions[0] - bundle.points[motion.wall_point]).max())
     if gap > 1e-3:
         raise AnatomyError(f"{folder}/motion.npz: its first frame is {gap:.3g} mm away from the bundle's geometry.")
-    if settings.annulus_times == 1.0:
+    if settings.annulus_times == 1.0 and not any(settings.annulus_off_mm):
         return motion
-    return replace(motion, positions=motion.positions[0] + settings.annulus_times * motion.displacement())
+    moved = settings.annulus_times * motion.displacement()
+    if any(settings.annulus_off_mm):
+        moved = moved + np.tensordot(np.array(settings.annulus_off_mm), off_modes(motion), axes=1)
+    return replace(motion, positions=motion.positions[0] + moved)
 
 
-def known_error(folder: Path) -> float | None:
-    """The share of its displacement at end-systole that the annulus of a bundle's ``motion.npz`` is known to (a standard
-    deviation); None where the file tells no error, as that of a motion which was not tracked.
+def off_modes(motion: Motion) -> FloatArray:
+    """(MODES, f, n, 3): what ``motion.annulus_off_mm`` multiplies, displacements of root mean square length 1 at end-systole:
+    along the way of the annulus's middle; aside, in two directions across that; a tilt about either; wider, away from the middle.
+
+    They grow and fall as the annulus's displacement does. Raises InputError for an annulus that stands still.
+    """
+    ring, moved = motion.positions[0], motion.displacement()
+    course = np.sqrt((moved**2).sum(axis=2).mean(axis=1))
+    es = int(np.argmin(np.abs(motion.times - motion.es_time)))
+    if course[es] == 0.0:
+        raise InputError("motion.annulus_off_mm: the annulus does not move, and its errors grow with its motion; leave it out.")
+    arms = ring - ring.mean(axis=0)
+    across = np.linalg.svd(arms, full_matrices=False)[2]
+    way = moved[es].mean(axis=0)
+    # an annulus that only widens has no way: the normal of its plane
+    axis = way / np.linalg.norm(way) if np.linalg.norm(way) > 0.1 * course[es] else across[2]
+    arms = arms - np.outer(arms @ axis, axis)
+    one, two = np.linalg.svd(arms, full_matrices=False)[2][:2]
+    even = np.ones((len(ring), 1))
+    fields = np.stack([even * axis, even * one, even * two, np.outer(arms @ one, axis), np.outer(arms @ two, axis), arms])
+    fields /= np.sqrt((fields**2).sum(axis=2).mean(axis=1))[:, None, None]
+    return np.asarray(fields[:, None] * (course / course[es])[None, :, None, None])
+
+
+def known_error(folder: Path) -> tuple[float, float] | None:
+    """What the annulus of a bundle's ``motion.npz`` is known to at end-systole (a standard deviation): root mean square error of
+    a point (mm), and that as a share of its displacement, at most MOST; None where the file tells no error, as that of a motion
+    which was not tracked.
 
     Raises InputError where it is missing or damaged.
     """
@@ -113,4 +143,5 @@ def known_error(folder: Path) -> float | None:
         error = float(arrays.read({ERROR: Array(least=0.0)})[ERROR])
     moved = motion.displacement()[int(np.argmin(np.abs(motion.times - motion.es_time)))]
     length = float(np.sqrt((moved**2).sum(axis=1).mean()))
-    return min(error / length, MOST) if length > 0.0 else None
+    share = min(error / length, MOST) if length > 0.0 else 0.0
+    return (share * length, share) if length > 0.0 else None

@@ -36,7 +36,7 @@ def test_a_comparison_is_held_against_what_the_calibration_was(tmp_path: Path) -
 
 def test_the_error_of_a_tracked_annulus_is_part_of_it(tmp_path: Path) -> None:
     """It has one sign for each target, which discretisation errors have not."""
-    names, effects = ("n_roof_mm", "b_septum_mm"), {"n_roof_mm": 0.3, "b_septum_mm": -0.6}
+    names, effects = ("n_roof_mm", "b_septum_mm"), {"n_roof_mm": [0.3, 0.0], "b_septum_mm": [-0.6, 0.1]}
     given = Targets(names, np.array([1.0, 2.0]), np.array([0.3, 0.4]))
     held = with_annulus(given, effects).widened({"n_roof_mm": 0.1, "b_septum_mm": 0.2}, correlation(names, given.mean, 1))
     fit = [
@@ -52,9 +52,10 @@ def test_the_error_of_a_tracked_annulus_is_part_of_it(tmp_path: Path) -> None:
     assert found.covariance is not None and found.covariance[0, 1] == pytest.approx(-0.18 + 0.02 * together)
     write_effects(tmp_path, {})
     assert held_against(tmp_path, given).covariance != pytest.approx(held.covariance), "nothing of an earlier one stays"
-    (tmp_path / "annulus.json").write_text('{"n_roof_mm": "much"}')
-    with pytest.raises(InputError, match="a finite number for each target"):
-        held_against(tmp_path, given)
+    for damaged in ('{"n_roof_mm": "much"}', '{"n_roof_mm": 0.3}', '{"n_roof_mm": [0.1], "b_septum_mm": [0.1, 0.2]}', "[]"):
+        (tmp_path / "annulus.json").write_text(damaged)
+        with pytest.raises(InputError, match="as many finite numbers for each target"):
+            held_against(tmp_path, given)
 
 
 def test_targets_that_were_left_out_have_no_part_in_it(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import pandas as pd
 import pytest
 from shapes import hollow_cube
 
-from lacli.base.errors import LacliError, SceneError
+from lacli.base.errors import InputError, LacliError, SceneError
 from lacli.base.schema import write_arrays
 from lacli.calibration.annulus import annulus_effects, known_share, left_out, with_annulus
 from lacli.contracts.bundle import Bundle, save
@@ -23,7 +24,7 @@ from lacli.contracts.scene import Scene, build_scene
 from lacli.contracts.targets import Targets
 from lacli.inference.box import make_box
 from lacli.inference.runs import Outcome
-from lacli.motion.annulus import ERROR, MOST, asked_motion, known_error
+from lacli.motion.annulus import ERROR, MODES, MOST, asked_motion, known_error, off_modes
 
 TARGETS = Targets(
     ("b_roof_mm", "esv_ml"), np.array([3.0, 80.0]), np.array([0.5, 4.0]), priors=(Prior("edp_mmhg", "normal", 9.0, 1.0),)
@@ -68,7 +69,7 @@ def test_the_annulus_goes_so_many_times_as_far(folder: Path) -> None:
 
 
 def test_the_error_is_a_share_of_the_way_at_end_systole(folder: Path) -> None:
-    assert known_error(folder) == pytest.approx(0.9 / 6.0)
+    assert known_error(folder) == pytest.approx((0.9, 0.9 / 6.0))
     bundle = _ringed()
     ids = np.unique(bundle.triangles[bundle.tags == RINGS["mv"]])
     still = Motion(np.array([0.0, 0.4]), ids, np.repeat(bundle.points[ids][None], 2, axis=0), 0.4)
@@ -79,30 +80,71 @@ def test_the_error_is_a_share_of_the_way_at_end_systole(folder: Path) -> None:
     assert 0.0 < MOST < 1.0
 
 
+def test_the_annulus_errs_in_six_ways_of_length_one(folder: Path) -> None:
+    motion = asked_motion(_scene(folder).motion, _ringed(), folder)
+    assert motion is not None
+    modes = off_modes(motion)
+    assert modes.shape == (MODES, 4, len(motion.wall_point), 3)
+    assert np.sqrt((modes[:, 2] ** 2).sum(axis=2).mean(axis=1)) == pytest.approx(np.ones(6))
+    assert modes[:, [0, 1, 3]] == pytest.approx(modes[:, [2]] * np.array([0.0, 0.5, 0.2])[None, :, None, None]), "with the way"
+    along, aside, across, tilt, other, wider = modes[:, 2]
+    assert along == pytest.approx(np.tile([0.0, 0.0, -1.0], (len(along), 1))), "down, as it went"
+    for field in (aside, across):
+        assert np.ptp(field, axis=0) == pytest.approx(0.0, abs=1e-12) and field[:, 2] == pytest.approx(0.0, abs=1e-9)
+    for field in (tilt, other):
+        assert field[:, :2] == pytest.approx(0.0, abs=1e-12) and field.mean(axis=0) == pytest.approx(0.0, abs=1e-9)
+    arms = motion.positions[0] - motion.positions[0].mean(axis=0)
+    assert (wider * arms).sum() > 0.0 and wider[:, 2] == pytest.approx(0.0, abs=1e-12)
+    # no way is a mixture of others: a ring's own error is told apart
+    flat = modes[:, 2].reshape(MODES, -1)
+    assert np.linalg.matrix_rank(flat @ flat.T, tol=1e-6) == MODES
+
+
+def test_a_scene_s_annulus_is_off_by_what_it_says(folder: Path) -> None:
+    bundle = _ringed()
+    plain = asked_motion(_scene(folder).motion, bundle, folder)
+    off = asked_motion(_scene(folder, "motion.annulus_off_mm=[2, 0, 0, 0, 0, 0.5]").motion, bundle, folder)
+    assert plain is not None and off is not None
+    wider = 0.5 * off_modes(plain)[5, 2]
+    assert off.displacement()[2] - plain.displacement()[2] == pytest.approx(np.array([0.0, 0.0, -2.0]) + wider)
+    assert off.positions[0] == pytest.approx(plain.positions[0])
+    for words, value in (("six lengths", "[1, 2]"), ("six lengths", "[99, 0, 0, 0, 0, 0]")):
+        with pytest.raises(SceneError, match=words):
+            _scene(folder, f"motion.annulus_off_mm={value}")
+    with pytest.raises(SceneError, match="annulus_off_mm would do nothing"):
+        _scene(folder, "motion.annulus_off_mm=[1, 0, 0, 0, 0, 0]", "motion.annulus=none")
+    still = dataclasses.replace(plain, positions=np.repeat(plain.positions[:1], 4, axis=0))
+    with pytest.raises(InputError, match="does not move"):
+        off_modes(still)
+
+
 class _Stand:
-    """Features linear in how far the annulus goes; fails where it is told to."""
+    """Features linear in how far the annulus goes and how wide it is; fails where it is told to."""
 
     def __init__(self, scene: Scene, fails: bool = False) -> None:
-        self.times, self.fails = scene.motion.annulus_times, fails
+        self.off, self.fails = np.array(scene.motion.annulus_off_mm or [0.0] * MODES), fails
 
     def __call__(self, rows: pd.DataFrame) -> Iterator[tuple[int, Outcome]]:
         assert rows.to_dict("records") == [{"edp_mmhg": 9.0, "alpha_roof": 1.0}], "the prior's mean, the box's middle"
-        if self.fails and self.times > 1.0:
+        if self.fails and self.off.any():
             yield 0, Outcome({}, "failed", "newton_limit", message="no equilibrium")
         else:
-            yield 0, Outcome({"b_roof_mm": 3.0 - 2.0 * self.times, "esv_ml": 90.0 + 10.0 * self.times})
+            along, wider = self.off[0] * math.sqrt(6.0), self.off[5] * math.sqrt(6.0)
+            yield 0, Outcome({"b_roof_mm": 3.0 - along / 3.0, "esv_ml": 90.0 + along * 5.0 / 3.0 + 2.0 * wider})
 
 
-def test_two_runs_tell_what_one_standard_deviation_changes(folder: Path) -> None:
+def test_a_run_for_each_way_tells_what_one_standard_deviation_changes(folder: Path) -> None:
     def simulator(scene: Scene) -> Any:
         return _Stand(scene)
 
     effects, words = annulus_effects(_scene(folder), _scene(folder), BOX, TARGETS, simulator)
-    assert effects == pytest.approx({"b_roof_mm": -0.3, "esv_ml": 1.5})
-    assert "known to 15 % of its way" in words and "b_roof_mm (0.6 standard deviations" in words
+    # .9 mm of a point are shared by six ways, .9 / 6^.5 mm each
+    assert effects["b_roof_mm"] == pytest.approx([-0.3, 0, 0, 0, 0, 0])
+    assert effects["esv_ml"] == pytest.approx([1.5, 0, 0, 0, 0, 1.8])
+    assert "known to 0.9 mm, 15 % of its way" in words and "b_roof_mm (0.6 sd of its own" in words
     held = with_annulus(TARGETS, effects)
-    # .25 + .09, 16 + 2.25, and what both owe to one error
-    assert held.covariance == pytest.approx(np.array([[0.34, -0.45], [-0.45, 18.25]]))
+    # .25 + .09, 16 + 2.25 + 3.24, and what both owe to one way
+    assert held.covariance == pytest.approx(np.array([[0.34, -0.45], [-0.45, 21.49]]))
     assert held.own_sd == pytest.approx(TARGETS.sd)
     held_still = _scene(folder, "motion.annulus=none")
     assert annulus_effects(held_still, held_still, BOX, TARGETS, simulator) == ({}, "")
