@@ -56,6 +56,7 @@ TOGETHER: dict[str, dict[str, Any]] = {
     "outputs.times": {"outputs": {"times": [0.1, 0.2]}},
     "loads.transient_mmhg": {"loads": {"transient_mmhg": [[0.0, 8.0], [0.4, 20.0]]}},
     "motion.annulus": {"motion": {"annulus": "axial"}},
+    "motion.annulus_off_mm": {"motion": {"annulus_off_mm": [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]}},
 }
 
 
