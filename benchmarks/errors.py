@@ -12,8 +12,9 @@ the others. --times: coverage by time, and how the errors of
 features, regions and times go together. --over-the-box: what the built-in model is worth on all runs that --times made, also
 nearer to the box's ends (--inner .9) and on softer walls (--alpha-times .55), and the factor that holds its share there.
 --images: atria as patients have them, meshed from label maps of 1 mm voxels by `lacli mesh`, at each size anew; of quadratic
-cells alone, and of the image's own volume with linear ones. --images --times: of both orders and at all times; the model is
-fitted to these, and with it how errors go together.
+cells alone, and of the image's own volume with linear ones. --images --times: of both orders and at all times; to these the
+model of quadratic cells is fitted, and how their errors go together; of linear ones how they fall with the motion alone: all else
+of theirs is of smooth atria, and --images --times tells what it is worth here.
 --write: what was found becomes the built-in. --bundle: bundles of one more anatomy (coarse ones, the finest last), held against
 the built-in model.
 
@@ -328,7 +329,7 @@ def main() -> None:
     if choice.images or not choice.times:
         fitted(choice.folder, rows, finest_mm, choice)
     if choice.times:
-        together(choice.folder, rows, finest_mm, choice.write)
+        together(choice.folder, rows, finest_mm, choice)
 
 
 def fitted(folder: Path, rows: list[dict[str, Any]], finest_mm: float, choice: argparse.Namespace) -> None:
@@ -339,13 +340,16 @@ def fitted(folder: Path, rows: list[dict[str, Any]], finest_mm: float, choice: a
         own = [d for d in data if d.where.order == order]
         model, by, covered = fit(own), factor(own), coverage(own)
         anatomies, share = len(covered), float(np.mean(list(covered.values())))
-        early = model.early if choice.times else document["orders"][str(order)]["early"]
-        document["orders"][str(order)] = {
-            "size": model.size, "t": model.t, "early": early, "features": model.features, "factor": by, "anatomies": anatomies,
-            "coverage": share,
-        }  # fmt: skip
+        known = document["orders"][str(order)]
+        early = model.early if choice.times else known["early"]
         worst = 100.0 * min(covered.values())
         table.append([order, anatomies, len(own), model.size, model.t, early, by, 100.0 * share, worst, ">= 93"])
+        known["early"] = early
+        if order == 2 or not choice.images:
+            known |= {
+                "size": model.size, "t": model.t, "features": model.features, "factor": by, "anatomies": anatomies,
+                "coverage": share,
+            }  # fmt: skip
     if choice.images:
         known = document["orders"]["1"]
         known["features"]["edv_ml"] = constant(imaged(folder, rows, finest_mm), known["size"], known["t"])
@@ -357,7 +361,7 @@ def fitted(folder: Path, rows: list[dict[str, Any]], finest_mm: float, choice: a
         print(f"written: {FILE}")
 
 
-def together(folder: Path, rows: list[dict[str, Any]], finest_mm: float, write: bool) -> None:
+def together(folder: Path, rows: list[dict[str, Any]], finest_mm: float, choice: argparse.Namespace) -> None:
     """The built-in model by time, and how errors go together; written where that is asked."""
     print_table("By time", ["order", "cells (mm)", "time", "errors", "within twice (%)"], by_time(folder, rows, finest_mm))
     found = {}
@@ -369,9 +373,12 @@ def together(folder: Path, rows: list[dict[str, Any]], finest_mm: float, write: 
             print(f"order {order}, {apart:g} of an error apart: unseen chi^2 over p: mean {mean:.2f}, most {most:.1f}")
         largest = sorted(groups.items(), key=lambda item: -abs(item[1]))[:12]
         print(f"order {order}: " + "; ".join(f"{name} {value:.2f}" for name, value in largest))
-    if write:
+    if choice.write:
         anatomies = len({row["seed"] for row in rows})
-        write_json(error_correlation.FILE, {"finest_mm": finest_mm, "anatomies": anatomies, "orders": found})
+        document = read_json(error_correlation.FILE)
+        for order in ("2",) if choice.images else ("1", "2"):
+            document[order] = {"finest_mm": finest_mm, "anatomies": anatomies, "groups": found[order]}
+        write_json(error_correlation.FILE, document)
         print(f"written: {error_correlation.FILE}")
 
 

@@ -34,7 +34,7 @@ def correlation(names: Sequence[str], values: FloatArray, order: int) -> FloatAr
     """
     if not names:
         return np.zeros((0, 0))
-    return of_groups(names, values, _table()[str(order)], APART)
+    return of_groups(names, values, _table()[str(order)]["groups"], APART)
 
 
 def of_groups(names: Sequence[str], values: FloatArray, known: Mapping[str, float], apart: float) -> FloatArray:
@@ -63,4 +63,4 @@ def _sign(groups: Groups, values: FloatArray) -> FloatArray:
 
 @functools.cache
 def _table() -> dict[str, Any]:
-    return dict(read_json(FILE, error=InputError)["orders"])
+    return dict(read_json(FILE, error=InputError))
