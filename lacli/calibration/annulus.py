@@ -49,13 +49,19 @@ def left_out(share: float) -> str:
 
 
 def annulus_effects(
-    scene: Scene, run: Scene, box: Box, targets: Targets, simulator: Callable[[Scene], SceneSimulator]
+    scene: Scene,
+    run: Scene,
+    box: Box,
+    targets: Targets,
+    simulator: Callable[[Scene], SceneSimulator],
+    hear: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[dict[str, list[float]], str]:
     """By target what one standard deviation of each way that the annulus can be wrong changes (its unit), and what is told of it
     in words; nothing where the scene's annulus is not tracked or its error not known.
 
     Of runs of ``run`` (the scene, or its cheap companion) in the box's middle, at the mean of what is known of an input.
-    Where the scene has no answer there, the words say so. Raises LacliError where the machine ended one, InputError.
+    Where the scene has no answer there, the words say so. ``hear``: runs done, and in all. Raises LacliError where the machine
+    ended one, InputError.
     """
     import pandas as pd
 
@@ -80,6 +86,7 @@ def annulus_effects(
         if outcome.status != "done":
             return {}, f"{left_out(share)}. A run that would tell what this changes ended by {outcome.kind} ({outcome.message})"
         found.append(outcome.outputs)
+        hear(len(found), 1 + MODES)
     as_tracked, *others = found
     there = [name for name in targets.names if all(name in outputs for outputs in found)]
     effects = {name: [float(f"{one[name] - as_tracked[name]:.{_DIGITS}g}") for one in others] for name in there}

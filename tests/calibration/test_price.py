@@ -11,6 +11,7 @@ from shapes import hollow_cube
 import lacli
 import lacli.types
 from lacli.base.errors import UsageError
+from lacli.calibration import annulus
 from lacli.calibration.price import price
 from lacli.calibration.simulator import simulator
 from lacli.cli.inference.sought import time_of
@@ -63,6 +64,16 @@ def test_a_calibration_s_price_is_told_by_kind_of_run_and_nothing_is_run(scene: 
     assert (own.runs, cheap.runs, cheap.name) == (9, 40, "cheap: order=1")
     assert cheap.each.cpu_s < own.each.cpu_s
     assert not (tmp_path / "c").exists()
+
+
+def test_runs_that_tell_the_error_of_a_tracked_annulus_have_a_price(
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(annulus, "known_share", lambda scene: 0.1)
+    targets = lacli.Targets(("esv_ml",), [90.0], [4.0])  # type: ignore[arg-type]
+    own, cheap, tracked = lacli.calibrate(scene, targets, tmp_path / "c", dry_run=True)
+    assert (tracked.name, tracked.runs) == ("the annulus's error", 7), "as tracked, and six ways of being wrong"
+    assert 0.0 < tracked.each.cpu_s < cheap.each.cpu_s < own.each.cpu_s, "cheap ones, which tell no derivatives"
 
 
 @pytest.mark.parametrize(("seconds", "words"), [(0.4, "0 min 00 s"), (75.0, "1 min 15 s"), (7384.0, "2 h 03 min")])

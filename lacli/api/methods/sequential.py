@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from lacli.inference.box import Box
     from lacli.inference.runs import RunLog
 
+ANNULUS = "the annulus's error"  # the stage, and the kind of runs
 RUNS = "runs"  # the folder of the simulations in a calibration's own
 FIGURES = ("corner.png", "trace.png", "fit.png")
 
@@ -80,11 +81,13 @@ def foresee(
 
 
 def prices(scene: Scene, targets: Targets, folder: Path, settings: Settings | None, work: Work) -> tuple[Price, ...]:
-    """What the calibration costs at most, by kind of run, without a run: the scene's own, and the cheap ones where there are any.
+    """What the calibration costs at most, by kind of run, without a run: the scene's own, the cheap ones where there are any, and
+    those that tell what the error of a tracked annulus does.
 
     Corrected by the finished runs in the store (default: in ``folder``), if there are any. Raises UsageError, SceneError,
     AnatomyError.
     """
+    from lacli.calibration.annulus import known_share
     from lacli.calibration.price import price
     from lacli.calibration.sequential.fidelity.companion import companion
     from lacli.calibration.sequential.search import Settings
@@ -92,6 +95,7 @@ def prices(scene: Scene, targets: Targets, folder: Path, settings: Settings | No
     from lacli.contracts.priors import check_priors
     from lacli.inference.box import published_box
     from lacli.mechanics.numerics.earlier import earlier
+    from lacli.motion.annulus import MODES
 
     if words := lacking(scene):
         raise UsageError(f"calibrate: {words} Change the scene, or use --method published.")
@@ -100,13 +104,16 @@ def prices(scene: Scene, targets: Targets, folder: Path, settings: Settings | No
     box = work.box or published_box()
     check_priors(targets.priors, box.names, box.lower, box.upper)
     settings, done = settings or Settings(), earlier(work.store or folder / RUNS)
+    run = companion(scene, work.cheap) if work.cheap else scene  # what carries the search
     own = price(
         "the scene's own", asked(scene, targets.names), settings.reference_runs if work.cheap else settings.max_runs, done
     )
-    if not work.cheap:
-        return (own,)
-    beside = asked(companion(scene, work.cheap), targets.names)
-    return own, price(f"cheap: {' '.join(work.cheap)}", beside, settings.max_runs, done)
+    found = [own]
+    if work.cheap:
+        found.append(price(f"cheap: {' '.join(work.cheap)}", asked(run, targets.names), settings.max_runs, done))
+    if known_share(scene):
+        found.append(price(ANNULUS, asked(run, targets.names, sensitivities=False), 1 + MODES, done))
+    return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -155,10 +162,11 @@ def _prepared(scene: Scene, targets: Targets, folder: Path, settings: Settings |
         for one, _ in kinds
     ]
     made = [runs_identity(run, box.names, targets.names) for run in runs]
+    stage = Stage(ANNULUS, 1.0, work.progress, work.cancel)
     effects, words = annulus_effects(
         scene, kinds[-1][0], box, targets, lambda one: simulator(
             one, work.store or folder / RUNS, 1, work.scheduler, targets=framed, sensitivities=False, discretisation=False
-        )
+        ), lambda done, total: stage.of(ANNULUS, done, total)
     )  # fmt: skip
     targets = with_annulus(targets, effects)
     notes += [f"{words}."] if words else []

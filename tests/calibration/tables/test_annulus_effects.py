@@ -137,7 +137,11 @@ def test_a_run_for_each_way_tells_what_one_standard_deviation_changes(folder: Pa
     def simulator(scene: Scene) -> Any:
         return _Stand(scene)
 
-    effects, words = annulus_effects(_scene(folder), _scene(folder), BOX, TARGETS, simulator)
+    heard: list[tuple[int, int]] = []
+    effects, words = annulus_effects(
+        _scene(folder), _scene(folder), BOX, TARGETS, simulator, lambda done, total: heard.append((done, total))
+    )
+    assert heard == [(done, 7) for done in range(1, 8)]
     # .9 mm of a point are shared by six ways, .9 / 6^.5 mm each
     assert effects["b_roof_mm"] == pytest.approx([-0.3, 0, 0, 0, 0, 0])
     assert effects["esv_ml"] == pytest.approx([1.5, 0, 0, 0, 0, 1.8])
