@@ -3,7 +3,7 @@
 Coarse cells are too stiff everywhere at once: their errors are no independent noise, and many targets do not average them out. An
 error counts positive where it makes the feature larger in size. Correlations are means about zero (a common bias is what must
 not be missed) of the errors over the stated ones, by the cells' order, the two kinds, whether the regions and the times are the
-same; ``error_correlation.json``, written by ``benchmarks/errors.py --times --write``.
+same; ``error_correlation.json``, written by ``benchmarks/errors.py --times --write``, of quadratic cells with ``--images``.
 """
 
 from __future__ import annotations
