@@ -78,7 +78,7 @@ def fit(data: list[Difference]) -> Fit:
 
 def of_tail(excess: np.ndarray, early: np.ndarray) -> float:
     """The power of d_ES / d by which the share HELD of the errors lies below the same multiple of the typical at all times: least
-    pinball loss. Soft walls' errors, which are the large ones, stay as they are towards end-diastole, where the middle's fall."""
+    pinball loss. The large errors, soft walls' among them, fall less towards end-diastole than those in the middle."""
     if not early.any():
         return 0.0
 

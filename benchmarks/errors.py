@@ -8,9 +8,9 @@ For each seed an atrium (its own shape and volume, wall of 1 - 4 mm) and a point
 simulated with linear and quadratic cells of several sizes; differences to quadratic cells of --finest-mm are the true errors.
 Runs are kept in FOLDER/runs.jsonl; another call goes on. The model (``lacli/mechanics/numerics/error_model.py``) is fitted to
 all anatomies of FOLDER (other seeds may be of another --inner or --alpha-times), and its coverage measured on each by a fit to
-the others. --times: coverage by time, and how the errors of
-features, regions and times go together. --over-the-box: what the built-in model is worth on all runs that --times made, also
-nearer to the box's ends (--inner .9) and on softer walls (--alpha-times .55), and the factor that holds its share there.
+the others. --times: coverage by time, and how the errors of features, regions and times go together. --over-the-box: what the
+built-in model is worth on all runs that --times made, also nearer to the box's ends (--inner .9) and on softer walls
+(--alpha-times .55), and the factor that holds its share there.
 --images: atria as patients have them, meshed from label maps of 1 mm voxels by `lacli mesh`, at each size anew; of quadratic
 cells alone, and of the image's own volume with linear ones. --images --times: of both orders and at all times; to these the
 model of quadratic cells is fitted, and how their errors go together; of linear ones how they fall with the motion alone: all else

@@ -136,6 +136,9 @@ def main() -> int:
     of_arm = "no contrast" if not strong else "regions differ" if total > 0 else "one stiffness"
     right = of_arm == "regions differ" if arm == "heterogeneous" else of_arm != "regions differ"
     print(f"claimed of the arm: {of_arm}")
+    contrasts = choice.study / "contrasts.csv"  # not there of a single patient
+    for row in pd.read_csv(contrasts).dropna(subset="not_trusted").to_dict("records") if contrasts.is_file() else ():
+        print(f"the study's own word on {row['model']} against {row['against']}: {row['verdict']}")
     wished = (
         "that regions differ is claimed of the arm" if arm == "heterogeneous" else "that regions differ is not claimed of the arm"
     )

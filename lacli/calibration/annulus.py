@@ -21,6 +21,7 @@ from lacli.base.documents import read_json
 from lacli.base.errors import InputError, LacliError
 from lacli.base.files import write_json
 from lacli.contracts.motion import FILE as MOTION
+from lacli.contracts.sections import ANNULUS_MODES
 from lacli.contracts.targets import Targets
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ def annulus_effects(
     """
     import pandas as pd
 
-    from lacli.motion.annulus import MODES, known_error
+    from lacli.motion.annulus import known_error
 
     if not (share := known_share(scene)) or (known := known_error(scene.anatomy.bundle)) is None:
         return {}, ""
@@ -74,8 +75,8 @@ def annulus_effects(
     at = [told.get(name, value) for name, value in zip(box.names, middle, strict=True)]
     row = pd.DataFrame([np.clip(at, box.lower, box.upper)], columns=list(box.names))
     found = []
-    own = np.array(run.motion.annulus_off_mm or [0.0] * MODES)
-    for off in (0.0 * own, *np.eye(MODES) * known[0] / math.sqrt(MODES)):
+    own = np.array(run.motion.annulus_off_mm or [0.0] * ANNULUS_MODES)
+    for off in (0.0 * own, *np.eye(ANNULUS_MODES) * known[0] / math.sqrt(ANNULUS_MODES)):
         moved = run.motion.model_copy(update={"annulus_off_mm": tuple(map(float, own + off)) if (own + off).any() else ()})
         ((_, outcome),) = simulator(run.model_copy(update={"motion": moved}))(row)
         if outcome.lost:  # it says nothing of the scene: an answer without it would be kept for good
@@ -86,7 +87,7 @@ def annulus_effects(
         if outcome.status != "done":
             return {}, f"{left_out(share)}. A run that would tell what this changes ended by {outcome.kind} ({outcome.message})"
         found.append(outcome.outputs)
-        hear(len(found), 1 + MODES)
+        hear(len(found), 1 + ANNULUS_MODES)
     as_tracked, *others = found
     there = [name for name in targets.names if all(name in outputs for outputs in found)]
     effects = {name: [float(f"{one[name] - as_tracked[name]:.{_DIGITS}g}") for one in others] for name in there}
@@ -126,10 +127,12 @@ def read_effects(folder: Path) -> dict[str, list[float]]:
     told = read_json(folder / FILE, error=InputError)
     rows: list[list[float]] = [row for row in told.values() if _numbers(row)] if isinstance(told, dict) else []
     if not rows or len(rows) < len(told) or len(set(map(len, rows))) > 1:
-        raise InputError(f"{folder / FILE}: not the effects of an annulus's error, as many finite numbers for each target.")
+        raise InputError(
+            f"{folder / FILE}: not the effects of an annulus's error, as many finite numbers for each target. Calibrate again."
+        )
     return dict(zip(map(str, told), rows, strict=True))
 
 
 def _numbers(row: object) -> bool:
-    numbers = row if isinstance(row, list) else [None]
+    numbers = row if isinstance(row, list) and row else [None]
     return all(isinstance(one, (int, float)) and not isinstance(one, bool) and math.isfinite(one) for one in numbers)

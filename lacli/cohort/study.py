@@ -24,8 +24,8 @@ from lacli.base.version import __version__
 from lacli.cohort.participants import Participant
 from lacli.cohort.steps import Step
 from lacli.contracts.identity import METHODS, content_hash, solver_digest
+from lacli.contracts.sections import ANNULUS_MODES
 from lacli.mechanics.numerics.stated import coefficients
-from lacli.motion.annulus import MODES
 from lacli.motion.registration import ENGINES
 
 TO_DO, DONE, REFUSED = "to do", "done", "refused"
@@ -150,7 +150,7 @@ def _method(step: Step) -> str:
     command = step.arguments[0]
     content: dict[str, object] = {**METHODS, "scripts": solver_digest() if command == "calibrate" else ""}
     if command == "calibrate":
-        content["errors"] = {**coefficients(), "annulus": MODES}
+        content["errors"] = {**coefficients(), "annulus": ANNULUS_MODES}
     if command == "track":
         content["engines"] = {name: engine.settings for name, engine in ENGINES.items()}
     return f"lacli {__version__}, methods {content_hash(content)[:8]}"

@@ -160,7 +160,7 @@ _TABLE: tuple[Quantity, ...] = (
     ),
     Quantity(
         "annulus_times", "motion.annulus_times", r"s_\mathrm{MV}", "share",
-        "what the displacement of the annulus is multiplied by (annulus = bundle): what an error of tracking changes", 1.0,
+        "what the displacement of the annulus is multiplied by (annulus = bundle)", 1.0,
         possible=(0.5, 2.0), plausible=(0.7, 1.5),
     ),
     Quantity(

@@ -18,6 +18,9 @@ from lacli.contracts.parameters import BY_KEY, judge
 MMHG_KPA = 0.133322
 KPA_PER_UM_KPA_PER_MM = 1000.0
 
+# ways that the annulus as a whole can be wrong: farther along its way, aside (two), tilted (about two axes), wider
+ANNULUS_MODES = 6
+
 Number = Annotated[float, Field(allow_inf_nan=False)]
 
 
@@ -200,7 +203,7 @@ class MotionSettings(Section):
     @field_validator("annulus_off_mm")
     @classmethod
     def _six_or_none(cls, value: tuple[float, ...]) -> tuple[float, ...]:
-        if len(value) not in (0, 6) or any(abs(one) > 20.0 for one in value):
+        if len(value) not in (0, ANNULUS_MODES) or any(abs(one) > 20.0 for one in value):
             raise ValueError("needs six lengths from -20 to 20 mm, or none")
         return value
 

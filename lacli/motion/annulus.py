@@ -20,8 +20,6 @@ from lacli.contracts.sections import MotionSettings
 
 ERROR = "annulus_error_mm"  # array of motion.npz: root mean square error of the tracked annulus's points at end-systole
 MOST = 0.5  # of the displacement: a motion that is known to no more is none
-# how the annulus as a whole can be wrong: farther along its way, aside (two directions), tilted (about two axes), wider
-MODES = 6
 
 
 def annulus_points(bundle: Bundle) -> IntArray:
@@ -106,8 +104,8 @@ def asked_motion(settings: MotionSettings, bundle: Bundle, folder: Path) -> Moti
 
 
 def off_modes(motion: Motion) -> FloatArray:
-    """(MODES, f, n, 3): what ``motion.annulus_off_mm`` multiplies, displacements of root mean square length 1 at end-systole:
-    along the way of the annulus's middle; aside, in two directions across that; a tilt about either; wider, away from the middle.
+    """What ``motion.annulus_off_mm`` multiplies, (ANNULUS_MODES, f, n, 3): displacements of root mean square length 1 at
+    end-systole, along the way of the annulus's middle; aside, in two directions across that; a tilt about either; wider.
 
     They grow and fall as the annulus's displacement does. Raises InputError for an annulus that stands still.
     """

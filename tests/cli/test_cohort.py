@@ -66,6 +66,7 @@ def test_the_dry_run_runs_nothing(table: Path) -> None:
     [
         ("[calibrate]\nfirst-run = 3\n", "has no option --first-run"),
         ("[fat]\nfigures = false\n", "--no-figures"),
+        ('[calibrate]\nfigures = "no"\n', "figures = no: true or false"),
         ("[calibrate]\nmax-runs = 2\n", "[calibrate]: Invalid value for '--max-runs'"),
         ('[mesh]\ncell-size-mm = "big"\n', "[mesh]: Invalid value for '--cell-size-mm'"),
         ('[track]\nwork-mm = "wide"\n', "[track]: Invalid value for '--work-mm'"),

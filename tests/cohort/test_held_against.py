@@ -52,7 +52,13 @@ def test_the_error_of_a_tracked_annulus_is_part_of_it(tmp_path: Path) -> None:
     assert found.covariance is not None and found.covariance[0, 1] == pytest.approx(-0.18 + 0.02 * together)
     write_effects(tmp_path, {})
     assert held_against(tmp_path, given).covariance != pytest.approx(held.covariance), "nothing of an earlier one stays"
-    for damaged in ('{"n_roof_mm": "much"}', '{"n_roof_mm": 0.3}', '{"n_roof_mm": [0.1], "b_septum_mm": [0.1, 0.2]}', "[]"):
+    for damaged in (
+        '{"n_roof_mm": "much"}',
+        '{"n_roof_mm": 0.3}',
+        '{"n_roof_mm": [0.1], "b_septum_mm": [0.1, 0.2]}',
+        '{"n_roof_mm": []}',
+        "[]",
+    ):
         (tmp_path / "annulus.json").write_text(damaged)
         with pytest.raises(InputError, match="as many finite numbers for each target"):
             held_against(tmp_path, given)

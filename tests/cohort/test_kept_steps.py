@@ -78,7 +78,7 @@ CHANGES: dict[str, Change] = {
     "a method": _patched("METHODS", study.METHODS | {"chain": 99}),
     "FreeFEM's scripts": _patched("solver_digest", lambda: "others"),
     "the model of discretisation errors": _patched("coefficients", lambda: {"error_model": {"held": 0.5}}),
-    "the ways that an annulus can be wrong": _patched("MODES", 7),
+    "the ways that an annulus can be wrong": _patched("ANNULUS_MODES", 7),
     "how frames are registered": _patched("ENGINES", {"greedy": SimpleNamespace(settings="others")}),
 }
 OF_ONE_STEP = {

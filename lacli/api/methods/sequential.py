@@ -93,9 +93,9 @@ def prices(scene: Scene, targets: Targets, folder: Path, settings: Settings | No
     from lacli.calibration.sequential.search import Settings
     from lacli.calibration.simulator import asked, check_end_systole, of_known_loads
     from lacli.contracts.priors import check_priors
+    from lacli.contracts.sections import ANNULUS_MODES
     from lacli.inference.box import published_box
     from lacli.mechanics.numerics.earlier import earlier
-    from lacli.motion.annulus import MODES
 
     if words := lacking(scene):
         raise UsageError(f"calibrate: {words} Change the scene, or use --method published.")
@@ -112,7 +112,7 @@ def prices(scene: Scene, targets: Targets, folder: Path, settings: Settings | No
     if work.cheap:
         found.append(price(f"cheap: {' '.join(work.cheap)}", asked(run, targets.names), settings.max_runs, done))
     if known_share(scene):
-        found.append(price(ANNULUS, asked(run, targets.names, sensitivities=False), 1 + MODES, done))
+        found.append(price(ANNULUS, asked(run, targets.names, sensitivities=False), 1 + ANNULUS_MODES, done))
     return tuple(found)
 
 

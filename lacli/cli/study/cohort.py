@@ -92,11 +92,13 @@ def _check_options(settings: Path | None) -> None:
     for name, table in given.options.items():
         group: Any = typer.main.get_command(build({name}))
         params = group.commands[name].params
-        known = {text for p in params for text in (*p.opts, *p.secondary_opts)}
+        known = {text: p for p in params for text in (*p.opts, *p.secondary_opts)}
         for option, value in table.items():
             text = f"--no-{option}" if value is False else f"--{option}"
             if text not in known:
                 raise UsageError(f"{settings}: [{name}] {option} = {value}: `lacli {name}` has no option {text}.")
+            if known[text].is_flag and not isinstance(value, bool):  # the call would take the word for an argument
+                raise UsageError(f"{settings}: [{name}] {option} = {value}: true or false.")
         # what each patient's call gives stands empty: the command itself is not run
         needed = [p for p in params if p.required and not any(text.removeprefix("--") in table for text in p.opts)]
         words = [word for p in needed if p.param_type_name == "option" for word in (p.opts[0], "-")]

@@ -23,7 +23,7 @@ from lacli.contracts.tables.error_groups import Groups, normalised
 FILE = Path(__file__).with_name("error_correlation.json")
 # share of an error that goes with no other: groups of pairs do not tell how each single pair goes together, and what they seem to
 # exclude is not excluded (errors of anatomies left out, linear and quadratic cells: mean chi^2 over their number 1.6 and 1.4
-# without, 1.05 and .79 with it; benchmarks/errors.py --times)
+# without, 1.05 and .79 with it; benchmarks/errors.py --times; linear ones before their fall with the motion was fitted)
 APART = 0.1
 
 

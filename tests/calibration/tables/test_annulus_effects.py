@@ -21,10 +21,11 @@ from lacli.contracts.labels import RINGS
 from lacli.contracts.motion import Motion, save_motion
 from lacli.contracts.priors import Prior
 from lacli.contracts.scene import Scene, build_scene
+from lacli.contracts.sections import ANNULUS_MODES
 from lacli.contracts.targets import Targets
 from lacli.inference.box import make_box
 from lacli.inference.runs import Outcome
-from lacli.motion.annulus import ERROR, MODES, MOST, asked_motion, known_error, off_modes
+from lacli.motion.annulus import ERROR, MOST, asked_motion, known_error, off_modes
 
 TARGETS = Targets(
     ("b_roof_mm", "esv_ml"), np.array([3.0, 80.0]), np.array([0.5, 4.0]), priors=(Prior("edp_mmhg", "normal", 9.0, 1.0),)
@@ -84,7 +85,7 @@ def test_the_annulus_errs_in_six_ways_of_length_one(folder: Path) -> None:
     motion = asked_motion(_scene(folder).motion, _ringed(), folder)
     assert motion is not None
     modes = off_modes(motion)
-    assert modes.shape == (MODES, 4, len(motion.wall_point), 3)
+    assert modes.shape == (ANNULUS_MODES, 4, len(motion.wall_point), 3)
     assert np.sqrt((modes[:, 2] ** 2).sum(axis=2).mean(axis=1)) == pytest.approx(np.ones(6))
     assert modes[:, [0, 1, 3]] == pytest.approx(modes[:, [2]] * np.array([0.0, 0.5, 0.2])[None, :, None, None]), "with the way"
     along, aside, across, tilt, other, wider = modes[:, 2]
@@ -96,8 +97,8 @@ def test_the_annulus_errs_in_six_ways_of_length_one(folder: Path) -> None:
     arms = motion.positions[0] - motion.positions[0].mean(axis=0)
     assert (wider * arms).sum() > 0.0 and wider[:, 2] == pytest.approx(0.0, abs=1e-12)
     # no way is a mixture of others: a ring's own error is told apart
-    flat = modes[:, 2].reshape(MODES, -1)
-    assert np.linalg.matrix_rank(flat @ flat.T, tol=1e-6) == MODES
+    flat = modes[:, 2].reshape(ANNULUS_MODES, -1)
+    assert np.linalg.matrix_rank(flat @ flat.T, tol=1e-6) == ANNULUS_MODES
 
 
 def test_a_scene_s_annulus_is_off_by_what_it_says(folder: Path) -> None:
@@ -122,7 +123,7 @@ class _Stand:
     """Features linear in how far the annulus goes and how wide it is; fails where it is told to."""
 
     def __init__(self, scene: Scene, fails: bool = False) -> None:
-        self.off, self.fails = np.array(scene.motion.annulus_off_mm or [0.0] * MODES), fails
+        self.off, self.fails = np.array(scene.motion.annulus_off_mm or [0.0] * ANNULUS_MODES), fails
 
     def __call__(self, rows: pd.DataFrame) -> Iterator[tuple[int, Outcome]]:
         assert rows.to_dict("records") == [{"edp_mmhg": 9.0, "alpha_roof": 1.0}], "the prior's mean, the box's middle"
