@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,10 +11,14 @@ from typing import TYPE_CHECKING
 from lacli.base.errors import LacliError, UsageError
 
 if TYPE_CHECKING:
-    from lacli.api.progress import Cancel, OnProgress
+    from lacli.api.progress import Cancel, OnProgress, Stage
     from lacli.base.arrays import FloatArray
     from lacli.cohort.analysis.statistics import Statistics
-    from lacli.cohort.comparison import Comparison
+    from lacli.cohort.comparison import Comparison, Model
+    from lacli.cohort.models.further import Doubt, Further, Informed
+    from lacli.contracts.targets import Targets
+
+_PARTICLES = 200  # of the sampler, to see whether the emulators' errors count
 
 
 @dataclass(frozen=True)
@@ -34,6 +39,9 @@ def compare(
     others: Mapping[str, Path] | None = None,
     particles: int = 600,
     seed: int = 0,
+    max_runs: int = 16,
+    workers: int | None = None,
+    scheduler: str | None = None,
     progress: OnProgress | None = None,
     cancel: Cancel | None = None,
 ) -> Comparison:
@@ -41,18 +49,25 @@ def compare(
     ``tied``: groups of inputs that are one.
 
     patient: the folder of a calibration, targets: what it was made to. others: name -> the calibration to the same targets on
-    another anatomy, such as one of uniform thickness. Emulators stand for runs: nothing is simulated. particles: of the
+    another anatomy, such as one of uniform thickness. Emulators stand for runs. Where a model is likely but the calibration (by
+    the sequential method) made no runs, so that the emulators' error counts in its evidence, up to ``max_runs`` are made there,
+    of each calibration, with its own numerics (``workers`` side by side here, or on the Dask ``scheduler``); they are kept in its
+    folder. particles: of the
     sampler, at least 100. Targets that one of the calibrations left out are left out for all, with a word among the warnings.
-    Evidences have no units, misfits are in mm. Raises InputError, UsageError, Cancelled.
+    Evidences have no units, misfits are in mm. Raises InputError, UsageError, LacliError, StorageError, Cancelled.
     """
+    from lacli.api.methods.sequential import RUNS
     from lacli.api.progress import Stage
     from lacli.base.threads import one_thread
     from lacli.cohort import comparison
+    from lacli.cohort.models.further import further
     from lacli.cohort.patient import held_against, read_model, shared
     from lacli.contracts.targets import read_targets
 
     if particles < 100:
         raise UsageError(f"compare: {particles} particles; at least 100.")
+    if max_runs < 0:
+        raise UsageError(f"compare: {max_runs} runs; 0 or more.")
     wanted = read_targets(targets)
     read = [(patient, read_model(patient, wanted))]
     read += [(folder, read_model(folder, wanted, name)) for name, folder in (others or {}).items()]
@@ -67,16 +82,48 @@ def compare(
     ]
     if tied:
         models.append(comparison.Model("tied", regional.emulators, regional.box, tuple(map(tuple, tied))))
+    of_folder = [(patient, models), *((folder, [model]) for (folder, _), model in zip(read[1:], rest, strict=True))]
     for model in rest:
         if model.name in [m.name for m in models]:
             raise UsageError(f"compare: two models are named {model.name}.")
-        models.append(model)
+        models = [*models, model]
     for model in models:
         comparison.reduced(model)
     with one_thread():
-        stage = Stage("comparison", 4 * len(models), progress, cancel).begin()
+        stage = Stage("the emulators' errors", 1.0, progress, cancel).begin()
+        learnt = []
+        for folder, group in of_folder:
+            make = functools.partial(
+                further, folder, group[0].box, held_against(folder, wanted), max_runs, folder / RUNS, workers, scheduler
+            )
+            learnt.append(_informed(group, held, make, seed, stage))
+        models = [model for group, _ in learnt for model in group]
+        stage.of("comparison", 0, 4 * len(models))
         found = comparison.compare(models, held, particles, seed, stage.step)
-    return replace(found, warnings=(words, *found.warnings)) if words else found
+    more = [of for _, of in learnt if of is not None]
+    said = (*filter(None, (words, *(of.words for of in more))), *found.warnings)
+    return replace(found, warnings=said, runs=sum(of.runs for of in more), reference_runs=sum(of.reference_runs for of in more))
+
+
+def _informed(
+    models: Sequence[Model], held: Targets, make: Callable[[], Further | str], seed: int, stage: Stage
+) -> tuple[list[Model], Informed | None]:
+    """Models of one calibration with the runs that their evidence asks for; None where their emulators tell no joint errors."""
+    from lacli.calibration.sequential.outputs import Features
+    from lacli.cohort import comparison
+    from lacli.cohort.models.further import informed
+
+    emulators = models[0].emulators
+    if not isinstance(emulators, Features):
+        return list(models), None
+
+    def doubts(features: Features, names: Collection[str]) -> Mapping[str, Doubt]:
+        asked = [replace(model, emulators=features) for model in models if not names or model.name in names]
+        stage.of("the emulators' errors", 0, 2 * len(asked))
+        return comparison.doubts(asked, held, _PARTICLES, seed, stage.step)
+
+    found = informed(make, emulators, doubts, seed, stage.of)
+    return [replace(model, emulators=found.features) for model in models], found
 
 
 def stats(

@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import logsumexp
 
 from lacli.base import quiet
 from lacli.base.arrays import FloatArray
@@ -23,8 +24,9 @@ from lacli.base.errors import UsageError
 from lacli.calibration.sequential.draw.likelihood import Decorrelated
 from lacli.calibration.sequential.evidence import narrowed
 from lacli.calibration.sequential.outputs import Features
-from lacli.cohort.evidence import evidence
-from lacli.cohort.pooling import pooled
+from lacli.cohort.models.evidence import evidence
+from lacli.cohort.models.further import Doubt
+from lacli.cohort.models.pooling import pooled
 from lacli.contracts.labels import BODY_REGIONS
 from lacli.contracts.priors import log_prior
 from lacli.contracts.targets import Targets
@@ -38,6 +40,7 @@ STRONG = 3.0  # of the difference of log evidences: odds of 20 to 1
 WORST_K = 0.7  # of Pareto: beyond it PSIS-LOO is of no worth
 EXTRAPOLATED = "its evidence is by extrapolation, do not rely on it"
 _PARTS = ("alpha", "c")
+_WORLDS, _DRAWS = 100, 400  # of what the emulators may err in, at so many draws of each model
 
 
 @dataclass(frozen=True)
@@ -55,15 +58,17 @@ class Model:
 class Fit:
     """What the targets say of a model.
 
-    free: number of its inputs; log_evidence and elpd (PSIS-LOO) in nats with standard errors; p_loo: effective parameters;
-    worst_k: largest Pareto k, above .7 of no worth; rmse_mm: of the displacement targets at the best draw, and its mean and sd
-    over the posterior (NaN where no target is in mm).
+    free: number of its inputs; log_evidence and elpd (PSIS-LOO) in nats with standard errors, the former's of sampling alone;
+    emulator_se: what of log_evidence hangs on the error of a sequential calibration's emulators, a standard deviation (NaN: of
+    others it is not known); p_loo: effective parameters; worst_k: largest Pareto k, above .7 of no worth; rmse_mm: of the
+    displacement targets at the best draw, and its mean and sd over the posterior (NaN where no target is in mm).
     """
 
     name: str
     free: int
     log_evidence: float
     log_evidence_se: float
+    emulator_se: float
     elpd: float
     elpd_se: float
     p_loo: float
@@ -75,7 +80,8 @@ class Fit:
 
 @dataclass(frozen=True)
 class Contrast:
-    """A model against another: difference of log evidences with its standard error, and what it says."""
+    """A model against another: difference of log evidences with its standard error, of sampling and of the emulators, which err
+    alike in models that share them; and what it says."""
 
     model: str
     against: str
@@ -87,11 +93,13 @@ class Contrast:
 @dataclass(frozen=True)
 class Comparison:
     """All fits, the contrasts of the first model against each other one and of a pooled one against the global, warnings in
-    words."""
+    words; how many runs were made for it, and of them the scenes' own beside cheap ones."""
 
     fits: tuple[Fit, ...]
     contrasts: tuple[Contrast, ...]
     warnings: tuple[str, ...]
+    runs: int = 0
+    reference_runs: int = 0
 
 
 def tied_regions(inputs: Sequence[str]) -> tuple[tuple[str, ...], ...]:
@@ -113,26 +121,89 @@ def compare(
 
     tick: called four times a model. Raises UsageError, LacliError.
     """
-    fits, said = [], []
-    for model in models:
-        fit, words = _fit(model, targets.select(model.emulators.outputs), particles, seed, tick)
-        fits.append(fit)
-        said += words
-    contrasts = [_contrast(fits[0], other) for other in fits[1:]]
-    named = {fit.name: fit for fit in fits}
-    if POOLED in named and GLOBAL in named:
-        contrasts.append(_contrast(named[POOLED], named[GLOBAL]))
+    found = [_fit(model, targets.select(model.emulators.outputs), particles, seed, tick) for model in models]
+    fits, said, draws = [fit for fit, _, _ in found], [words for _, of, _ in found for words in of], [x for _, _, x in found]
+    of_emulators = _emulators_errors(models, targets, draws, seed)
+    if of_emulators is not None:
+        fits = [replace(fit, emulator_se=float(of_emulators[k, k])) for k, fit in enumerate(fits)]
+    pairs = [(0, k) for k in range(1, len(fits))]
+    names = [fit.name for fit in fits]
+    if POOLED in names and GLOBAL in names:
+        pairs.append((names.index(POOLED), names.index(GLOBAL)))
+    contrasts = [_contrast(fits[j], fits[k], 0.0 if of_emulators is None else float(of_emulators[j, k])) for j, k in pairs]
     return Comparison(tuple(fits), tuple(contrasts), tuple(said))
 
 
-def _contrast(first: Fit, other: Fit) -> Contrast:
+def _contrast(first: Fit, other: Fit, of_emulators: float) -> Contrast:
     difference = first.log_evidence - other.log_evidence
-    se = math.hypot(first.log_evidence_se, other.log_evidence_se)
+    se = math.hypot(first.log_evidence_se, other.log_evidence_se, of_emulators)
     if abs(difference) < STRONG + 2 * se:
         verdict = "no contrast can be claimed"
     else:
         verdict = f"{first.name if difference > 0 else other.name} is strongly preferred"
     return Contrast(first.name, other.name, difference, se, verdict)
+
+
+def doubts(
+    models: Sequence[Model], targets: Targets, particles: int, seed: int, tick: Callable[[], None] = lambda: None
+) -> dict[str, Doubt]:
+    """By model of emulated features: how far its log evidence hangs on the emulator, by fewer particles than ``compare``.
+
+    tick: called twice a model.
+    """
+    told = {}
+    for model in models:
+        assert isinstance(model.emulators, Features), "others tell no joint errors"
+        held = targets.select(model.emulators.outputs)
+        likelihood = Decorrelated.of(model.emulators, held)
+        box, lift = reduced(replace(model, box=narrowed(model.box, held)))
+        found = evidence(
+            lambda x, model=model, held=held, likelihood=likelihood, lift=lift: (  # type: ignore[misc]
+                likelihood(lift(x)) + log_prior(held.priors, model.box.names, lift(x))
+            ),
+            box, particles, repeats=2, seed=seed, tick=tick,
+        )  # fmt: skip
+        points = lift(found.draws)
+        rng = np.random.default_rng([seed, 5])
+        se, of_runs, of_correction = (
+            float(_changes(likelihood.worlds(_some(points), part), [len(_some(points))], rng).std())
+            for part in ("emulator and correction", "emulator", "correction")
+        )
+        beyond = coverage(model.box, model.emulators.training_inputs(), points).share > TOO_MUCH
+        told[model.name] = Doubt(se, of_runs, of_correction, beyond, points)
+    return told
+
+
+def _emulators_errors(models: Sequence[Model], targets: Targets, draws: Sequence[FloatArray], seed: int) -> FloatArray | None:
+    """(k, k): what of two models' difference of log evidence hangs on the emulators' errors, a standard deviation; on the
+    diagonal, of each alone. Models that share emulators share their errors. None where emulators are of another kind."""
+    if not all(isinstance(model.emulators, Features) for model in models):
+        return None
+    changes = np.empty((_WORLDS, len(models)))
+    groups: dict[int, list[int]] = {}
+    for k, model in enumerate(models):
+        groups.setdefault(id(model.emulators), []).append(k)
+    for number, group in enumerate(groups.values()):
+        emulators = models[group[0]].emulators
+        assert isinstance(emulators, Features)
+        some = [_some(draws[k]) for k in group]
+        likelihood = Decorrelated.of(emulators, targets.select(emulators.outputs))
+        rng = np.random.default_rng([seed, 6, number])
+        changes[:, group] = _changes(likelihood.worlds(np.concatenate(some)), list(map(len, some)), rng)
+    apart = (changes[:, :, None] - changes[:, None, :]).std(axis=0)
+    return np.asarray(apart + np.diag(changes.std(axis=0)))
+
+
+def _changes(world: Callable[[np.random.Generator], FloatArray], counts: Sequence[int], rng: np.random.Generator) -> FloatArray:
+    """(worlds, k): what the emulator's errors would change in the log evidences of k models, of whom the draws are so many."""
+    ends = np.cumsum(counts)[:-1]
+    found = [[logsumexp(part) - math.log(len(part)) for part in np.split(world(rng), ends)] for _ in range(_WORLDS)]
+    return np.array(found, float)
+
+
+def _some(draws: FloatArray) -> FloatArray:
+    """As many of the draws (m, d) as errors are drawn at."""
+    return draws[np.linspace(0, len(draws) - 1, min(_DRAWS, len(draws))).astype(int)]
 
 
 def reduced(model: Model) -> tuple[Box, Callable[[FloatArray], FloatArray]]:
@@ -158,7 +229,10 @@ def reduced(model: Model) -> tuple[Box, Callable[[FloatArray], FloatArray]]:
     return make_box(free, [low[n] for n in free], [high[n] for n in free]), lambda x: x[:, column]
 
 
-def _fit(model: Model, targets: Targets, particles: int, seed: int, tick: Callable[[], None]) -> tuple[Fit, list[str]]:
+def _fit(
+    model: Model, targets: Targets, particles: int, seed: int, tick: Callable[[], None]
+) -> tuple[Fit, list[str], FloatArray]:
+    """The fit, what is to be said of it, and draws (m, d) of the model's posterior."""
     box, lift = reduced(replace(model, box=narrowed(model.box, targets)))
 
     likelihood = _likelihood(model.emulators, targets)
@@ -181,10 +255,10 @@ def _fit(model: Model, targets: Targets, particles: int, seed: int, tick: Callab
             f"{model.name}: PSIS-LOO is not to be trusted (Pareto k {worst:.2f} > .7): a target alone decides; take the evidence."
         )
     fit = Fit(
-        model.name, box.d, found.log_z, found.se, elpd, elpd_se, p_loo, worst,
+        model.name, box.d, found.log_z, found.se, math.nan, elpd, elpd_se, p_loo, worst,
         float(rmse[best]), float(rmse.mean()), float(rmse.std(ddof=1)),
     )  # fmt: skip
-    return fit, said
+    return fit, said, points
 
 
 def _extrapolated(model: Model, points: FloatArray) -> str:

@@ -11,9 +11,9 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm, truncnorm
 
 from lacli.base.errors import UsageError
-from lacli.cohort import pooling
 from lacli.cohort.comparison import GLOBAL, POOLED, REGIONAL, Model, compare, reduced, tied_regions
-from lacli.cohort.evidence import evidence
+from lacli.cohort.models import pooling
+from lacli.cohort.models.evidence import evidence
 from lacli.contracts.labels import BODY_REGIONS
 from lacli.contracts.priors import Prior
 from lacli.contracts.tables.table import RunTable

@@ -134,15 +134,16 @@ class _Job:
 
 def _prepared(scene: Scene, targets: Targets, folder: Path, settings: Settings | None, work: Work) -> _Job:
     """What is run, held against what, where."""
-    from lacli.base.files import check_folder
+    from lacli.base.files import check_folder, write_text
     from lacli.calibration.annulus import annulus_effects, with_annulus, write_effects
     from lacli.calibration.calibration import obstacle
     from lacli.calibration.sequential.calibration import sequential_identity
     from lacli.calibration.sequential.fidelity.companion import companion
-    from lacli.calibration.sequential.outputs import CHEAP, LOG
+    from lacli.calibration.sequential.outputs import CHEAP, LOG, SIMULATED, SIMULATED_CHEAP
     from lacli.calibration.sequential.search import Reference, Settings
     from lacli.calibration.simulator import check_end_systole, of_known_loads, simulator
     from lacli.contracts.identity import settle
+    from lacli.contracts.scene import dump_scene
     from lacli.inference.box import published_box
     from lacli.inference.runs import RunLog, runs_identity
     from lacli.inference.runs import obstacle as in_the_way
@@ -181,6 +182,8 @@ def _prepared(scene: Scene, targets: Targets, folder: Path, settings: Settings |
 
     folder = settle(folder, hindered, work.fresh)
     write_effects(folder, effects)
+    for run, name in zip(runs, (SIMULATED, SIMULATED_CHEAP), strict=False):
+        write_text(folder / name, dump_scene(run.scene))
     logs = [RunLog(folder / name, box.names, targets.names, of_runs, work.retry) for name, of_runs in beside]
     reference = Reference(runs[0], logs[0]) if work.cheap else None
     return _Job(runs[-1], box, targets, settings, folder, logs[-1], notes, reference)

@@ -13,7 +13,7 @@ from lacli.base.errors import InputError
 from lacli.base.threads import single_threaded
 from lacli.calibration.sequential import branches
 from lacli.calibration.sequential.emulator import Components
-from lacli.calibration.sequential.evidence import Evidence, factor, gather
+from lacli.calibration.sequential.evidence import factor, gather
 from lacli.calibration.sequential.fidelity.corrected import emulate
 from lacli.calibration.sequential.fidelity.correction import corrected, far_from_best, fit_correction, sound
 from lacli.calibration.sequential.scale import Scale
@@ -22,6 +22,7 @@ from lacli.inference.box import Box
 from lacli.inference.runs import RunLog
 
 LOG, CHEAP = "runs.csv", "runs_cheap.csv"  # the second is there where runs of the first correct cheap ones
+SIMULATED, SIMULATED_CHEAP = "simulated.toml", "simulated_cheap.toml"  # the scenes that these are runs of
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,14 @@ class Features:
     predict_truth = predict  # runs are taken for exact: their own error is in the targets' covariance
 
 
+@dataclass(frozen=True)
+class Told:
+    """Runs that emulators learn from: their log, and the points x (n, d) of it that count."""
+
+    log: RunLog
+    x: FloatArray
+
+
 @single_threaded
 def features_of(file: Path, box: Box, targets: Targets) -> Features:
     """The emulator of all runs in a calibration's ``runs.csv``, which correct those of ``runs_cheap.csv`` where there are any.
@@ -85,23 +94,32 @@ def features_of(file: Path, box: Box, targets: Targets) -> Features:
 
     Raises InputError where none tells derivatives.
     """
+    beside = file.with_name(CHEAP)
+    cheap = _all_of(beside, box, targets) if beside.is_file() else None
+    return features_from(_all_of(file, box, targets), cheap, box, targets)
+
+
+@single_threaded
+def features_from(own: Told, cheap: Told | None, box: Box, targets: Targets) -> Features:
+    """As ``features_of``, of these runs of the scene's own and cheap ones."""
     scale = Scale.of(box)
     plain = replace(targets, priors=None)
-    evidence = _told(file, plain, scale)
+    evidence = gather(own.log, own.x, plain, scale)
     off = branches.look(evidence, plain).strays
     if not evidence.told.any():
-        raise InputError(f"{file}: no run in it tells derivatives; calibrate again.")
-    if (beside := file.with_name(CHEAP)).is_file():
-        cheap = _told(beside, plain, scale)
-        of_cheap = branches.look(cheap, plain, far_from_best(cheap, evidence)).strays
-        learnt, kept, dear = sound(cheap, evidence, (of_cheap, off))
+        raise InputError(f"{own.log.path}: no run in it tells derivatives; calibrate again.")
+    if cheap is not None:
+        beside = gather(cheap.log, cheap.x, plain, scale)
+        of_cheap = branches.look(beside, plain, far_from_best(beside, evidence)).strays
+        learnt, kept, dear = sound(beside, evidence, (of_cheap, off))
         if (correction := fit_correction(learnt, dear)) is None:
-            raise InputError(f"{file}: too few runs that tell derivatives are in {CHEAP} too; calibrate again.")
+            raise InputError(
+                f"{own.log.path}: too few runs that tell derivatives are in {cheap.log.path.name} too; calibrate again."
+            )
         return Features(emulate(corrected(kept, dear, correction)), scale, plain, targets.names)
     return Features(emulate(evidence.take(~off)), scale, plain, targets.names)
 
 
-def _told(file: Path, targets: Targets, scale: Scale) -> Evidence:
-    """All runs of a log."""
-    log = RunLog(file, scale.box.names, targets.names, None)
-    return gather(log, np.array(list(log.rows)), targets, scale)
+def _all_of(file: Path, box: Box, targets: Targets) -> Told:
+    log = RunLog(file, box.names, targets.names, None)
+    return Told(log, np.array(list(log.rows)))

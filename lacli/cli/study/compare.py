@@ -29,6 +29,13 @@ def command(
         typer.Option("--other", metavar="NAME=FOLDER", help="A calibration on another anatomy, such as uniform thickness."),
     ] = None,
     particles: Annotated[int, typer.Option(min=100, help="Particles of the sampler; more are more exact.")] = 600,
+    max_runs: Annotated[
+        int, typer.Option(min=0, help="Runs at most, of a calibration, where a model is likely and it made none; 0: none.")
+    ] = 16,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Simulations side by side (default: as cores and memory allow).")
+    ] = None,
+    scheduler: Annotated[str | None, typer.Option(help="Dask scheduler (tcp://...) whose workers share the folder.")] = None,
     file: Annotated[
         Path | None, typer.Option("--out", help="The comparison as JSON (default: comparison.json in the patient's folder).")
     ] = None,
@@ -38,7 +45,8 @@ def command(
     """Regional against global stiffness, tied inputs, other anatomies: evidence, PSIS-LOO and misfit, with their errors.
 
     "pooled" lets the regions vary about a common level by as much as the targets ask for: against "global" it tells whether
-    they differ at all. The models share the calibration's emulators: nothing is simulated.
+    they differ at all. The models share the calibration's emulators; a few runs more are made where a model is likely and the
+    calibration, which sought its own posterior, made none.
 
     Example: lacli compare patient_1 --targets targets.toml --other uniform=patient_1_uniform
     """
@@ -55,7 +63,10 @@ def command(
         raise UsageError(f"{patient}: no such folder.")
     check_file(target)
     with stages() as show:
-        found = study.compare(patient, targets, tied=groups, others=named, particles=particles, seed=seed, progress=show)
+        found = study.compare(
+            patient, targets, tied=groups, others=named, particles=particles, seed=seed, max_runs=max_runs, workers=workers,
+            scheduler=scheduler, progress=show,
+        )  # fmt: skip
     document = asdict(found)
     for fit in document["fits"]:
         fit |= {key: None for key, value in fit.items() if isinstance(value, float) and not math.isfinite(value)}
@@ -67,13 +78,17 @@ def command(
         return
     print_table(
         "Models",
-        ["model", "inputs", "log evidence", "± se", "elpd (PSIS-LOO)", "± se", "p_loo", "worst k", "RMSE, mm", "mean ± sd"],
+        ["model", "inputs", "log evidence", "± se", "± emulators", "elpd (PSIS-LOO)", "± se", "p_loo", "worst k", "RMSE, mm",
+         "mean ± sd"],
         [
-            [f.name, f.free, f.log_evidence, f.log_evidence_se, f.elpd, f.elpd_se, f.p_loo, f.worst_k, f.rmse_mm,
+            [f.name, f.free, f.log_evidence, f.log_evidence_se, f.emulator_se, f.elpd, f.elpd_se, f.p_loo, f.worst_k, f.rmse_mm,
              f"{f.rmse_mean_mm:.3g} ± {f.rmse_sd_mm:.2g}"]
             for f in found.fits
         ],
     )  # fmt: skip
+    if found.runs:
+        beside = f" and {found.reference_runs} of the scene's own" if found.reference_runs else ""
+        out.print(f"{found.runs} runs{beside} were made where models are likely.", highlight=False)
     for c in found.contrasts:
         out.print(
             f"{c.model} - {c.against}: log evidence {c.difference:+.2f} ± {c.se:.2f}: {c.verdict}.",

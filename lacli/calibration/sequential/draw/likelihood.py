@@ -10,13 +10,14 @@ few directions, which a matrix as large as their number brings in (Woodbury).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
 from lacli.base.arrays import FloatArray
-from lacli.calibration.sequential.emulator import Components
+from lacli.calibration.sequential.emulator import Components, Part
 from lacli.calibration.sequential.evidence import factor
 from lacli.calibration.sequential.fidelity.corrected import Corrected
 from lacli.calibration.sequential.outputs import Features
@@ -90,6 +91,29 @@ class Decorrelated:
         taken_up = np.linalg.solve(inner, (root[:, None] * (left / total) @ self.correction.along)[..., None])[..., 0]
         size = np.log(np.diagonal(inner, axis1=1, axis2=2)).sum(axis=1)
         return np.asarray(found + 0.5 * (taken_up**2).sum(axis=1) - size)
+
+    def worlds(self, x: FloatArray, of: Part = "emulator and correction") -> Callable[[np.random.Generator], FloatArray]:
+        """Draws of what log L (m,) at x (m, d) would be more, were the residuals known that the emulator errs in, jointly at all
+        points. of: whose errors; the others are left as they are, in the variances."""
+        z = self.scale.to_z(x)
+        left, total = self._left(z)
+        spread = 1.0 if of != "correction" else total
+        of_runs = self.components.errors(z, "emulator") if of != "correction" else None
+        few = self.correction if of != "emulator" else None
+        now, again = self(x), self.constant - 0.5 * np.log(np.broadcast_to(spread, left.shape)).sum(axis=1)
+        if few is not None:
+            size, axes = np.linalg.eigh(few.process.covariance(z))
+            root = axes * np.sqrt(np.maximum(size, 0.0))
+        elif self.correction is not None:
+            now = self.constant - 0.5 * (left**2 / total + np.log(total)).sum(axis=1)
+
+        def drawn(rng: np.random.Generator) -> FloatArray:
+            error = np.zeros_like(left) if of_runs is None else of_runs(rng)
+            if few is not None:
+                error = error + root @ rng.standard_normal((len(z), few.along.shape[1])) @ few.along.T
+            return np.asarray(again - 0.5 * ((left + error) ** 2 / spread).sum(axis=1) - now)
+
+        return drawn
 
     def pointwise(self, x: FloatArray) -> FloatArray:
         """log p(y_j | y_-j, x) (m, p): of all targets' errors and the emulator's together."""

@@ -1,0 +1,200 @@
+"""Runs where a model of a comparison is likely and the calibration made none.
+
+A calibration makes its runs where its own posterior is. Another model's may lie elsewhere (one stiffness for all regions, say,
+stiffer than any region's): what the emulators say there is extrapolation, and so is its evidence. So a few runs more are made
+with the calibration's own numerics at those draws of that model's posterior which tell most, until the emulator's error in its
+log evidence is small beside what decides. They are kept beside the calibration's, and change nothing of it.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from lacli.base.arrays import FloatArray
+from lacli.base.errors import LacliError
+from lacli.calibration.sequential.change import most_telling
+from lacli.calibration.sequential.outputs import CHEAP, LOG, SIMULATED, SIMULATED_CHEAP, Features, Told, features_from
+from lacli.calibration.simulator import SceneSimulator
+from lacli.contracts.identity import Identity, beside, conflict, read_identity
+from lacli.contracts.scene import load_scene
+from lacli.contracts.tables.table import STATUS
+from lacli.contracts.targets import Targets
+from lacli.inference.box import Box
+from lacli.inference.runs import RunLog, Simulator, obstacle, runs_identity
+
+COMPARED, COMPARED_CHEAP = "compared.csv", "compared_cheap.csv"
+ENOUGH = 0.5  # of a log evidence, a standard deviation: a sixth of what a strong preference is
+BATCH, PAIR = 4, 1  # runs at a time, and those of them that the scene's own numerics are run beside, where runs are cheap
+
+Hear = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """How far a model's log evidence hangs on the emulator: its standard deviation over what that may err in, of the runs'
+    emulator and of the correction alone; whether (nearly) all its posterior is where no run has been; its draws (m, d)."""
+
+    se: float
+    of_runs: float
+    of_correction: float
+    beyond: bool
+    draws: FloatArray
+
+
+@dataclass(frozen=True)
+class Informed:
+    """The emulator; how many runs were made for it, and how many of the scene's own beside cheap ones; what is to be said."""
+
+    features: Features
+    runs: int = 0
+    reference_runs: int = 0
+    words: str = ""
+
+
+@dataclass
+class Kind:
+    """Runs of one kind: who makes them, the log that holds the calibration's and these, and the points (n, d) that count."""
+
+    simulator: Simulator
+    log: RunLog
+    x: FloatArray
+
+    @property
+    def told(self) -> Told:
+        """What emulators learn from."""
+        return Told(self.log, self.x)
+
+    def run(self, x: FloatArray, hear: Hear) -> None:
+        """Have the points x (m, d) among them."""
+        self.log.run(self.simulator, x, hear)
+        self.x = np.array(list(dict.fromkeys(map(tuple, np.vstack([self.x, x]).tolist()))))
+
+
+@dataclass
+class Further:
+    """The runs of a calibration, and more of them: the scene's own, and cheap ones where it had them.
+
+    left: how many more may be made, cheap ones where there are such; made: how many were, own_made: of the scene's own beside
+    cheap ones.
+    """
+
+    own: Kind
+    cheap: Kind | None
+    box: Box
+    targets: Targets
+    left: int
+    made: int = 0
+    own_made: int = 0
+
+    def features(self, outputs: Sequence[str]) -> Features:
+        """The emulator of all runs so far."""
+        cheap = None if self.cheap is None else self.cheap.told
+        return features_from(self.own.told, cheap, self.box, self.targets).select(outputs)
+
+    def add(self, features: Features, draws: FloatArray, correction: bool, rng: np.random.Generator, hear: Hear) -> None:
+        """Runs at those of a model's draws (m, d) that tell most; correction: what is not known is rather how cheap runs are to
+        be corrected."""
+        z, count = features.scale.to_z(draws), min(BATCH, self.left)
+        pairs = 0 if self.cheap is None else min(count, 2 * PAIR if correction else PAIR)
+        chosen = most_telling(features.components, z, pairs, rng, "correction") if pairs else np.empty((0, z.shape[1]))
+        if count > pairs:
+            chosen = np.vstack([chosen, most_telling(features.components, z, count - pairs, rng)])
+        x = features.scale.to_x(np.clip(chosen, 0.0, 1.0))
+        self.left -= count
+        if self.cheap is None:
+            self.own.run(x, hear)
+            self.made += len(x)
+            return
+        self.cheap.run(x, lambda done, total: hear(done, total + pairs))
+        self.made += len(x)
+        done = self.cheap.log.frame(x[:pairs])[STATUS] == "done"
+        if done.any():
+            self.own.run(x[:pairs][done.to_numpy()], lambda done, total: hear(len(x) + done, len(x) + total))
+            self.own_made += int(done.sum())
+
+
+def further(
+    folder: Path, box: Box, targets: Targets, most: int, store: Path, workers: int | None = None, scheduler: str | None = None
+) -> Further | str:
+    """Of the folder of a calibration by the sequential method; or why no run can be added to it, in words.
+
+    targets: as it was held against them. most: runs at most. Raises InputError, TableError.
+    """
+    kinds = [_kind(folder, (LOG, SIMULATED, COMPARED), box, targets, store, workers, scheduler)]
+    if (folder / CHEAP).is_file():
+        kinds.append(_kind(folder, (CHEAP, SIMULATED_CHEAP, COMPARED_CHEAP), box, targets, store, workers, scheduler))
+    for kind in kinds:
+        if isinstance(kind, str):
+            return kind
+    own, *cheap = (kind for kind in kinds if isinstance(kind, Kind))
+    return Further(own, cheap[0] if cheap else None, box, targets, most)
+
+
+def _kind(
+    folder: Path, names: tuple[str, str, str], box: Box, targets: Targets, store: Path, workers: int | None, scheduler: str | None
+) -> Kind | str:
+    table, scene, compared = (folder / name for name in names)
+    made = read_identity(beside(table))
+    if not scene.is_file() or made is None:
+        return f"{folder} holds no {scene.name}: calibrate again with the same options (what is done is found again)"
+    try:
+        simulator = SceneSimulator(load_scene(scene), store, workers, scheduler)
+        identity = runs_identity(simulator, box.names, made.content["outputs"])
+    except LacliError as error:
+        return f"{scene}: {str(error).rstrip('.')}"
+    if identity != made:
+        return f"{table} {conflict(made, identity, 'runs').rstrip('.')}"
+    return Kind(simulator, *_joined(table, compared, box, targets, identity))
+
+
+def _joined(table: Path, compared: Path, box: Box, targets: Targets, identity: Identity) -> tuple[RunLog, FloatArray]:
+    """A log that goes on in ``compared`` and knows the calibration's rows; the points of these."""
+    before = RunLog(table, box.names, targets.names, None)
+    if obstacle(compared, identity):
+        compared.unlink()  # of another calibration that was here: its simulations are in the store
+    log = RunLog(compared, box.names, tuple(identity.content["outputs"]), identity)
+    log.rows = before.rows | log.rows
+    log.attempts = before.attempts | log.attempts
+    return log, np.array(list(before.rows))
+
+
+def informed(
+    make: Callable[[], Further | str],
+    features: Features,
+    doubts: Callable[[Features, Collection[str]], Mapping[str, Doubt]],
+    seed: int,
+    hear: Callable[[str, int, int], None],
+) -> Informed:
+    """The emulator, with runs added until no model's log evidence hangs on its error by more than ``ENOUGH``.
+
+    make: what makes runs, or why none can be made; called where there is need. doubts: of the models of these names (none: all),
+    by name. hear: told what is being done, and of how many runs how many are.
+    """
+    runs: Further | None = None
+    asked: Collection[str] = ()
+    for round_ in itertools.count(1):
+        found = {name: doubt for name, doubt in doubts(features, asked).items() if doubt.se > ENOUGH or doubt.beyond}
+        if not found:
+            break
+        asked = tuple(found)
+        if runs is None:
+            made = make()
+            if isinstance(made, str):
+                whose = " and ".join(f"{name} (± {doubt.se:.2g})" for name, doubt in found.items())
+                return Informed(
+                    features, 0, 0, f"the log evidence of {whose} hangs on the emulators, and no run is added: {made}."
+                )
+            runs = made
+        if runs.left <= 0:
+            break
+        worst = max(found, key=lambda name: found[name].se)
+        doubt, stage = found[worst], f"runs where {worst} is likely"
+        further_ones = (doubt.draws, doubt.of_correction > doubt.of_runs, np.random.default_rng([seed, 7, round_]))
+        runs.add(features, *further_ones, lambda done, total, stage=stage: hear(stage, done, total))  # type: ignore[misc]
+        features = runs.features(features.outputs)
+    return Informed(features) if runs is None else Informed(features, runs.made, runs.own_made)
