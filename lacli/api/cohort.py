@@ -29,7 +29,8 @@ class Cohort:
 
     cost of what was to do: ``calibrations``, ``runs_each`` at most, ``cpu_s_per_run`` (CPU seconds; the median of the study's
     runs so far, or None); where cheap runs carry calibrations, ``reference_runs_each`` and ``cpu_s_per_reference_run`` are
-    those of the scene's own. summary: counts, misfit of the models over patients, notes. Of a dry run and of a script for SLURM,
+    those of the scene's own; ``compared``: calibrations whose models are to be compared, each with ``compared_runs_each`` more at
+    most. summary: counts, misfit of the models over patients, notes. Of a dry run and of a script for SLURM,
     outcomes and summary are empty.
     """
 
@@ -243,37 +244,40 @@ def _absolute(scene: Path | None) -> Path | None:
 
 def _cost(chosen: Patients, rows: Sequence[Planned], folder: Path, settings: Path | None) -> dict[str, Any]:
     from lacli.cohort.analysis.summary import median_cpu_s
+    from lacli.cohort.models.further import MOST_RUNS
     from lacli.cohort.steps import read_settings
     from lacli.cohort.study import TO_DO
 
-    given = read_settings(settings).options.get("calibrate", {})
+    options = read_settings(settings).options
+    given, most = options.get("calibrate", {}), int(options.get("compare", {}).get("max-runs", MOST_RUNS))
     todo = {(row.participant_id, row.step) for row in rows if row.state.startswith(TO_DO)}
-    every = [step for patient, steps in chosen for step in steps if (patient.identifier, step.name) in todo]
-    steps = [step for step in every if step.arguments[0] == "calibrate"]
-    simulated = [step for step in steps if "--from-table" not in step.arguments]
-    most = [runs_at_most(step, given) for step in simulated]
-    each, of_reference = (max(counts, default=0) for counts in zip(*most, strict=True)) if most else (0, 0)
+    simulated = [
+        (patient.identifier, step) for patient, steps in chosen for step in steps
+        if step.arguments[0] == "calibrate" and "--from-table" not in step.arguments
+    ]  # fmt: skip
+    runs = [runs_at_most(step, given) for patient, step in simulated if (patient, step.name) in todo]
+    each, of_reference = (max(counts, default=0) for counts in zip(*runs, strict=True)) if runs else (0, 0)
     of_runs, of_own = median_cpu_s(folder)
+    compared = [
+        patient for patient, step in simulated
+        if (patient, "compare") in todo and method_of(_scene(step), given) == "sequential"
+    ]  # fmt: skip
     return {
-        "calibrations": len(simulated), "runs_each": each, "cpu_s_per_run": of_runs,
+        "calibrations": len(runs), "runs_each": each, "cpu_s_per_run": of_runs,
         "reference_runs_each": of_reference, "cpu_s_per_reference_run": of_own,
+        "compared": len(compared), "compared_runs_each": most if compared else 0,
     }  # fmt: skip
 
 
 def runs_at_most(step: Step, given: Mapping[str, Any]) -> tuple[int, int]:
     """Runs of a calibration's step at most, with these options, and those of the scene's own that correct them, where they are
     cheap: of the sequential method, or where they or the scene ask for it, of the published one."""
-    from lacli.api.methods.sequential import lacking
     from lacli.calibration.calibration import Settings as Published
     from lacli.calibration.sequential.fidelity.companion import usual
     from lacli.calibration.sequential.search import Settings as Sequential
 
-    method, scene = given.get("method"), _scene(step)
-    if method is None:
-        told_none = scene is not None and bool(lacking(scene))
-        published = given.get("sensitivities") is False or any(name in given for name in OF_WAVES) or told_none
-        method = "published" if published else "sequential"
-    if method == "sequential":
+    scene = _scene(step)
+    if method_of(scene, given) == "sequential":
         carried = given.get("cheap", usual(scene) if scene is not None else ())
         cheap = bool(carried) and "none" not in carried
         reference = int(given.get("reference-runs", Sequential.reference_runs)) if cheap else 0
@@ -281,6 +285,17 @@ def runs_at_most(step: Step, given: Mapping[str, Any]) -> tuple[int, int]:
     default, names = Published(), ("first_runs", "wave_runs", "max_waves", "max_runs")
     first, following, waves, at_most = (int(given.get(name.replace("_", "-"), getattr(default, name))) for name in names)
     return min(at_most, first + following * (waves - 1)), 0
+
+
+def method_of(scene: Scene | None, given: Mapping[str, Any]) -> str:
+    """The method of a calibration with these options, of a scene as far as it can be read."""
+    from lacli.api.methods.sequential import lacking
+
+    if (method := given.get("method")) is not None:
+        return str(method)
+    told_none = scene is not None and bool(lacking(scene))
+    published = given.get("sensitivities") is False or any(name in given for name in OF_WAVES) or told_none
+    return "published" if published else "sequential"
 
 
 def _scene(step: Step) -> Scene | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -39,7 +39,7 @@ def compare(
     others: Mapping[str, Path] | None = None,
     particles: int = 600,
     seed: int = 0,
-    max_runs: int = 16,
+    max_runs: int | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
     progress: OnProgress | None = None,
@@ -50,22 +50,23 @@ def compare(
 
     patient: the folder of a calibration, targets: what it was made to. others: name -> the calibration to the same targets on
     another anatomy, such as one of uniform thickness. Emulators stand for runs. Where a model is likely but the calibration (by
-    the sequential method) made no runs, so that the emulators' error counts in its evidence, up to ``max_runs`` are made there,
-    of each calibration, with its own numerics (``workers`` side by side here, or on the Dask ``scheduler``); they are kept in its
-    folder. particles: of the
-    sampler, at least 100. Targets that one of the calibrations left out are left out for all, with a word among the warnings.
+    the sequential method) made no runs, so that the emulators' error counts in its evidence, up to ``max_runs`` (default: 16) are
+    made there with the calibration's own numerics, and kept in its folder: for each of the calibrations, ``workers`` side by side
+    here, or on the Dask ``scheduler``. particles: of the sampler, at least 100. Targets that one of the calibrations left out are
+    left out for all, with a word among the warnings.
     Evidences have no units, misfits are in mm. Raises InputError, UsageError, LacliError, StorageError, Cancelled.
     """
     from lacli.api.methods.sequential import RUNS
     from lacli.api.progress import Stage
     from lacli.base.threads import one_thread
     from lacli.cohort import comparison
-    from lacli.cohort.models.further import further
+    from lacli.cohort.models.further import MOST_RUNS, further
     from lacli.cohort.patient import held_against, read_model, shared
     from lacli.contracts.targets import read_targets
 
     if particles < 100:
         raise UsageError(f"compare: {particles} particles; at least 100.")
+    max_runs = MOST_RUNS if max_runs is None else max_runs
     if max_runs < 0:
         raise UsageError(f"compare: {max_runs} runs; 0 or more.")
     wanted = read_targets(targets)
@@ -113,17 +114,17 @@ def _informed(
     from lacli.cohort import comparison
     from lacli.cohort.models.further import informed
 
-    emulators = models[0].emulators
-    if not isinstance(emulators, Features):
+    emulators = {model.name: model.emulators for model in models if isinstance(model.emulators, Features)}
+    if not emulators:
         return list(models), None
 
-    def doubts(features: Features, names: Collection[str]) -> Mapping[str, Doubt]:
-        asked = [replace(model, emulators=features) for model in models if not names or model.name in names]
+    def doubts(learnt: Mapping[str, Features]) -> Mapping[str, Doubt]:
+        asked = [replace(model, emulators=learnt[model.name]) for model in models if model.name in learnt]
         stage.of("the emulators' errors", 0, 2 * len(asked))
         return comparison.doubts(asked, held, _PARTICLES, seed, stage.step)
 
     found = informed(make, emulators, doubts, seed, stage.of)
-    return [replace(model, emulators=found.features) for model in models], found
+    return [replace(model, emulators=found.emulators[model.name]) for model in models], found
 
 
 def stats(

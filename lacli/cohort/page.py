@@ -84,7 +84,10 @@ def _patients(people: pd.DataFrame, notes: tuple[str, ...], warned: int) -> Sect
 
 def _models(study: Path, over: list[dict[str, object]]) -> Section:
     frame = read_frame(study / MODELS)
-    columns = ("participant_id", "name", "log_evidence", "log_evidence_se", "elpd", "elpd_se", "worst_k", "p_loo", "rmse_mm")
+    columns = (
+        "participant_id", "name", "log_evidence", "log_evidence_se", "emulator_se", "elpd", "elpd_se", "worst_k", "p_loo",
+        "rmse_mm",
+    )  # fmt: skip
     rows = cells(frame.reindex(columns=list(columns)))
     head = (
         "model", "patients", "RMSE mean, mm", "sd", "effective parameters", "sd", "elpd (PSIS-LOO), sum", "se", "over patients",

@@ -31,7 +31,7 @@ from lacli.contracts.scene import Scene
 METHODS: dict[str, int] = {
     "runs": 3, "calibration": 7, "emulators": 1, "region": 2, "chain": 4, "accuracy": 4, "figures": 1, "result": 1,
     # of a study's steps alone, whose marks have all numbers
-    "anatomy": 6, "motion": 5, "comparison": 5,
+    "anatomy": 6, "motion": 5, "comparison": 6,
 }  # fmt: skip
 _SHOWN = 6  # differences named in a message
 _EXACT = 2**53  # whole numbers below it are the same as floats

@@ -70,6 +70,7 @@ def test_of_quadratic_cells_a_few_are_the_scene_s_own(scene: Path, given: dict[s
 def test_a_study_costs_cheap_runs_and_dear_ones() -> None:
     cost = {
         "calibrations": 10, "runs_each": 60, "cpu_s_per_run": 6.0, "reference_runs_each": 12, "cpu_s_per_reference_run": 60.0,
+        "compared": 0, "compared_runs_each": 0,
     }  # fmt: skip
     # by hand: 10 (60 6 + 12 60) s = 3 h
     assert _cost_words(cost).startswith("10 calibrations to do, of at most 60 runs each and 12 of the scene's own")
@@ -78,3 +79,9 @@ def test_a_study_costs_cheap_runs_and_dear_ones() -> None:
     assert _cost_words(cost | {"reference_runs_each": 0, "cpu_s_per_reference_run": None}).endswith(
         "of at most 60 runs each: 1 CPU hours at most, at 6 s a run as in this study so far."
     )
+    # and for the comparisons 10 (16 6 + 8 60) s = 1.6 h
+    compared = {"compared": 10, "compared_runs_each": 16}
+    assert "10 whose models are to be compared, with at most 16 runs more each: 4.6 CPU hours" in _cost_words(cost | compared)
+    alone = _cost_words(cost | compared | {"calibrations": 0, "runs_each": 0, "reference_runs_each": 0})
+    assert alone.startswith("10 whose models are to be compared") and ": 1.6 CPU hours at most" in alone
+    assert _cost_words(cost | {"calibrations": 0}) == "No simulations to make."

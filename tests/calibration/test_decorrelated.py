@@ -13,7 +13,7 @@ from scipy.stats import multivariate_normal
 
 from lacli.calibration.sequential.draw.chain import density
 from lacli.calibration.sequential.draw.likelihood import Decorrelated
-from lacli.calibration.sequential.emulator import fit
+from lacli.calibration.sequential.emulator import Part, fit
 from lacli.calibration.sequential.fidelity.corrected import Corrected
 from lacli.calibration.sequential.outputs import Features
 from lacli.calibration.sequential.scale import Scale
@@ -91,6 +91,23 @@ def test_it_is_the_density_with_the_whole_covariance(
     asked = np.array([one.logpdf(held.mean) for one in _dense(features, held, x)])
     assert np.ptp(asked) > 50.0  # far from the targets and near them
     assert Decorrelated.of(features, held)(x) == pytest.approx(asked, rel=1e-10, abs=1e-8)
+
+
+@pytest.mark.parametrize("of", ["features", "corrected"])
+@pytest.mark.parametrize("part", ["emulator and correction", "emulator", "correction"])
+def test_over_what_the_emulator_may_err_in_the_likelihood_is_its_own(
+    of: str, part: Part, held: Targets, request: pytest.FixtureRequest
+) -> None:
+    """E[L(e)] over the errors e is the L in whose variances they are: the mean of exp(log L(e) - log L) is 1."""
+    features = request.getfixturevalue(of)
+    x = TRUTH + np.random.default_rng(2).standard_normal((8, 3)) * [0.2, 0.2, 0.4]
+    world, rng = Decorrelated.of(features, held).worlds(x, part), np.random.default_rng(4)
+    ratios = np.exp([world(rng) for _ in range(6000)])
+    se = ratios.std(axis=0) / np.sqrt(len(ratios))
+    assert (np.abs(ratios.mean(axis=0) - 1.0) < np.maximum(4.5 * se, 1e-9)).all()  # of one correction there is nothing to draw
+    moves = part != "correction" or of == "corrected"
+    assert (ratios.std(axis=0) > 1e-3).all() == moves
+    assert se.max() < 0.05  # else the mean would say nothing
 
 
 @pytest.mark.parametrize("of", ["features", "corrected"])

@@ -53,6 +53,7 @@ def test_the_dry_run_runs_nothing(table: Path) -> None:
     ]  # fmt: skip
     assert document["cost"] == {  # the runs are there
         "calibrations": 0, "runs_each": 0, "cpu_s_per_run": None, "reference_runs_each": 0, "cpu_s_per_reference_run": None,
+        "compared": 0, "compared_runs_each": 0,
     }  # fmt: skip
     assert "lacli calibrate --from-table" in _call(table, "--dry-run").stdout
     assert not (table.parent / "study").exists()

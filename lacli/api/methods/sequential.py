@@ -141,7 +141,7 @@ def _prepared(scene: Scene, targets: Targets, folder: Path, settings: Settings |
     from lacli.calibration.sequential.fidelity.companion import companion
     from lacli.calibration.sequential.outputs import CHEAP, LOG, SIMULATED, SIMULATED_CHEAP
     from lacli.calibration.sequential.search import Reference, Settings
-    from lacli.calibration.simulator import check_end_systole, of_known_loads, simulator
+    from lacli.calibration.simulator import asked, check_end_systole, of_known_loads, simulator
     from lacli.contracts.identity import settle
     from lacli.contracts.scene import dump_scene
     from lacli.inference.box import published_box
@@ -182,8 +182,8 @@ def _prepared(scene: Scene, targets: Targets, folder: Path, settings: Settings |
 
     folder = settle(folder, hindered, work.fresh)
     write_effects(folder, effects)
-    for run, name in zip(runs, (SIMULATED, SIMULATED_CHEAP), strict=False):
-        write_text(folder / name, dump_scene(run.scene))
+    for (one, _), name in zip(kinds, (SIMULATED, SIMULATED_CHEAP), strict=False):
+        write_text(folder / name, dump_scene(asked(one, framed)))
     logs = [RunLog(folder / name, box.names, targets.names, of_runs, work.retry) for name, of_runs in beside]
     reference = Reference(runs[0], logs[0]) if work.cheap else None
     return _Job(runs[-1], box, targets, settings, folder, logs[-1], notes, reference)

@@ -111,14 +111,22 @@ def _check_options(settings: Path | None) -> None:
 
 
 def _cost_words(cost: dict[str, Any]) -> str:
-    if not cost["calibrations"]:
+    compared, further = cost["compared"], cost["compared_runs_each"]
+    count = cost["calibrations"]
+    if not count and not compared * further:
         return "No simulations to make."
     own = cost["reference_runs_each"]
     beside = f" and {own} of the scene's own that correct them" if own else ""
-    runs = f"{cost['calibrations']} calibrations to do, of at most {cost['runs_each']} runs each{beside}"
+    todo = [f"{cost['calibrations']} calibrations to do, of at most {cost['runs_each']} runs each{beside}"] * bool(
+        cost["calibrations"]
+    )
+    todo += [f"{compared} whose models are to be compared, with at most {further} runs more each"] * bool(compared * further)
+    runs = ", ".join(todo)
     each, of_own = cost["cpu_s_per_run"], cost["cpu_s_per_reference_run"]
     if each is None or (own and of_own is None):
         return f"{runs}; what a run costs is not known before the first patient's (`lacli simulate --dry-run` tells)."
-    hours = cost["calibrations"] * (cost["runs_each"] * each + own * (of_own or 0.0)) / 3600
+    # of the runs that a comparison adds, one in four to one in two is made with the scene's own numerics too
+    hours = count * (cost["runs_each"] * each + own * (of_own or 0.0)) / 3600
+    hours += compared * further * (each + 0.5 * (of_own or 0.0)) / 3600
     price = f"{each:.3g} s a run" + (f" and {of_own:.3g} s one of the scene's own," if own else "")
     return f"{runs}: {hours:.3g} CPU hours at most, at {price} as in this study so far."

@@ -30,8 +30,9 @@ def command(
     ] = None,
     particles: Annotated[int, typer.Option(min=100, help="Particles of the sampler; more are more exact.")] = 600,
     max_runs: Annotated[
-        int, typer.Option(min=0, help="Runs at most, of a calibration, where a model is likely and it made none; 0: none.")
-    ] = 16,
+        int | None,
+        typer.Option(min=0, help="Runs at most, for each calibration, where a model is likely and it made none (default: 16)."),
+    ] = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Simulations side by side (default: as cores and memory allow).")
     ] = None,

@@ -16,6 +16,8 @@ from lacli.cohort.patient import discretisation
 from lacli.contracts.features import family, parse
 from lacli.contracts.targets import Targets
 
+VAGUE = 2 * STRONG  # standard error of a difference of log evidences beyond which it says nothing
+
 
 @dataclass(frozen=True)
 class Anatomy:
@@ -251,26 +253,28 @@ def over_contrasts(
     contrasts: Mapping[str, Sequence[Mapping[str, Any]]], doubted: Mapping[str, Doubts] | None = None
 ) -> list[dict[str, Any]]:
     """By pair of models, over the patients: the sum of the differences of log evidence with its standard error, how many patients
-    prefer each strongly, whose evidence is not to be relied on, and what the sum says: nothing while it holds such.
+    prefer each strongly, who is left out, and what the sum says.
 
-    Patients are independent, so that log evidences add.
+    Patients are independent, so that log evidences add. Left out is who has evidence that is not to be relied on, or known to no
+    better than ``VAGUE``: chosen by how well it is known, not by what it says.
     """
     rows = []
     beyond = {patient: of.evidence for patient, of in (doubted or {}).items()}
     every = [(patient, c) for patient, of_patient in contrasts.items() for c in of_patient]
     for pair in dict.fromkeys((str(c["model"]), str(c["against"])) for _, c in every):
         mine = {patient: c for patient, c in every if (c["model"], c["against"]) == pair}
-        total = float(sum(c["difference"] for c in mine.values()))
-        se = float(np.sqrt(sum(c["se"] ** 2 for c in mine.values())))
-        said = [str(c["verdict"]) for patient, c in mine.items() if not set(pair) & set(beyond.get(patient, ()))]
-        first, other = (sum(words == f"{name} is strongly preferred" for words in said) for name in pair)
-        verdict, whose = "no contrast can be claimed", _not_trusted(mine, beyond, pair)
-        if whose:
-            verdict += f": the evidence of {whose} is not to be relied on"
-        elif abs(total) >= STRONG + 2 * se:
+        out = [p for p, c in mine.items() if set(pair) & set(beyond.get(p, ())) or not float(c["se"]) <= VAGUE]
+        summed = [c for patient, c in mine.items() if patient not in out]
+        total = float(sum(c["difference"] for c in summed))
+        se = float(np.sqrt(sum(c["se"] ** 2 for c in summed)))
+        first, other = (sum(c["verdict"] == f"{name} is strongly preferred" for c in summed) for name in pair)
+        verdict = "no contrast can be claimed"
+        if summed and abs(total) >= STRONG + 2 * se:
             verdict = f"{pair[0] if total > 0 else pair[1]} is strongly preferred"
+        if out:
+            verdict += f" (without {', '.join(out)}, whose evidence is not to be relied on)"
         rows.append({
-            "model": pair[0], "against": pair[1], "patients": len(mine), "log_evidence": total, "se": se,
-            "prefer_model": first, "prefer_against": other, "not_trusted": whose, "verdict": verdict,
+            "model": pair[0], "against": pair[1], "patients": len(summed), "log_evidence": total, "se": se,
+            "prefer_model": first, "prefer_against": other, "not_trusted": ", ".join(out), "verdict": verdict,
         })  # fmt: skip
     return rows

@@ -8,8 +8,9 @@ log evidence is small beside what decides. They are kept beside the calibration'
 
 from __future__ import annotations
 
+import functools
 import itertools
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,6 +30,7 @@ from lacli.inference.runs import RunLog, Simulator, obstacle, runs_identity
 
 COMPARED, COMPARED_CHEAP = "compared.csv", "compared_cheap.csv"
 ENOUGH = 0.5  # of a log evidence, a standard deviation: a sixth of what a strong preference is
+MOST_RUNS = 16  # of a comparison and a calibration
 BATCH, PAIR = 4, 1  # runs at a time, and those of them that the scene's own numerics are run beside, where runs are cheap
 
 Hear = Callable[[int, int], None]
@@ -48,9 +50,10 @@ class Doubt:
 
 @dataclass(frozen=True)
 class Informed:
-    """The emulator; how many runs were made for it, and how many of the scene's own beside cheap ones; what is to be said."""
+    """The emulators by model; how many runs were made for them, and how many of the scene's own beside cheap ones; what is to be
+    said."""
 
-    features: Features
+    emulators: Mapping[str, Features]
     runs: int = 0
     reference_runs: int = 0
     words: str = ""
@@ -96,11 +99,11 @@ class Further:
         cheap = None if self.cheap is None else self.cheap.told
         return features_from(self.own.told, cheap, self.box, self.targets).select(outputs)
 
-    def add(self, features: Features, draws: FloatArray, correction: bool, rng: np.random.Generator, hear: Hear) -> None:
-        """Runs at those of a model's draws (m, d) that tell most; correction: what is not known is rather how cheap runs are to
-        be corrected."""
-        z, count = features.scale.to_z(draws), min(BATCH, self.left)
-        pairs = 0 if self.cheap is None else min(count, 2 * PAIR if correction else PAIR)
+    def add(self, features: Features, doubt: Doubt, rng: np.random.Generator, hear: Hear) -> None:
+        """Runs at those of a model's draws that tell its emulator most."""
+        z, count = features.scale.to_z(doubt.draws), min(BATCH, self.left)
+        wanted = 2 * PAIR if doubt.of_correction > doubt.of_runs else PAIR
+        pairs = 0 if self.cheap is None else min(count, wanted)
         chosen = most_telling(features.components, z, pairs, rng, "correction") if pairs else np.empty((0, z.shape[1]))
         if count > pairs:
             chosen = np.vstack([chosen, most_telling(features.components, z, count - pairs, rng)])
@@ -165,36 +168,39 @@ def _joined(table: Path, compared: Path, box: Box, targets: Targets, identity: I
 
 def informed(
     make: Callable[[], Further | str],
-    features: Features,
-    doubts: Callable[[Features, Collection[str]], Mapping[str, Doubt]],
+    emulators: Mapping[str, Features],
+    doubts: Callable[[Mapping[str, Features]], Mapping[str, Doubt]],
     seed: int,
     hear: Callable[[str, int, int], None],
 ) -> Informed:
-    """The emulator, with runs added until no model's log evidence hangs on its error by more than ``ENOUGH``.
+    """The models' emulators, with runs added until no log evidence hangs on their error by more than ``ENOUGH``.
 
-    make: what makes runs, or why none can be made; called where there is need. doubts: of the models of these names (none: all),
-    by name. hear: told what is being done, and of how many runs how many are.
+    make: what makes runs, or why none can be made; called where there is need. emulators: by model, and doubts of them. Models
+    that are not in question keep theirs: runs that were made for another, where features may bend or jump otherwise, would count
+    in the error everywhere. hear: told what is being done, and of how many runs how many are.
     """
-    runs: Further | None = None
-    asked: Collection[str] = ()
+    learnt = dict(emulators)
+    found = _in_question(doubts(learnt))
+    if not found:
+        return Informed(learnt)
+    runs = make()
+    if isinstance(runs, str):
+        whose = " and ".join(f"{name} (± {doubt.se:.2g})" for name, doubt in found.items())
+        return Informed(learnt, words=f"the log evidence of {whose} hangs on the emulators, and no run is added: {runs}.")
     for round_ in itertools.count(1):
-        found = {name: doubt for name, doubt in doubts(features, asked).items() if doubt.se > ENOUGH or doubt.beyond}
-        if not found:
-            break
-        asked = tuple(found)
-        if runs is None:
-            made = make()
-            if isinstance(made, str):
-                whose = " and ".join(f"{name} (± {doubt.se:.2g})" for name, doubt in found.items())
-                return Informed(
-                    features, 0, 0, f"the log evidence of {whose} hangs on the emulators, and no run is added: {made}."
-                )
-            runs = made
         if runs.left <= 0:
             break
         worst = max(found, key=lambda name: found[name].se)
-        doubt, stage = found[worst], f"runs where {worst} is likely"
-        further_ones = (doubt.draws, doubt.of_correction > doubt.of_runs, np.random.default_rng([seed, 7, round_]))
-        runs.add(features, *further_ones, lambda done, total, stage=stage: hear(stage, done, total))  # type: ignore[misc]
-        features = runs.features(features.outputs)
-    return Informed(features) if runs is None else Informed(features, runs.made, runs.own_made)
+        runs.add(learnt[worst], found[worst], np.random.default_rng([seed, 7, round_]), functools.partial(hear, _stage(worst)))
+        learnt |= dict.fromkeys(found, runs.features(learnt[worst].outputs))
+        if not (found := _in_question(doubts({name: learnt[name] for name in found}))):
+            break
+    return Informed(learnt, runs.made, runs.own_made)
+
+
+def _in_question(doubts: Mapping[str, Doubt]) -> dict[str, Doubt]:
+    return {name: doubt for name, doubt in doubts.items() if doubt.se > ENOUGH or doubt.beyond}
+
+
+def _stage(model: str) -> str:
+    return f"runs where {model} is likely"

@@ -15,9 +15,11 @@ import lacli.types
 from lacli.api.methods import numerics, published, sequential
 from lacli.api.methods.calibrated import Calibrated
 from lacli.base.errors import SolverMissingError
+from lacli.calibration.sequential.outputs import SIMULATED, SIMULATED_CHEAP
 from lacli.calibration.sequential.result import Sequential
+from lacli.calibration.simulator import asked
 from lacli.contracts.bundle import save
-from lacli.contracts.scene import build_scene
+from lacli.contracts.scene import build_scene, load_scene
 from lacli.freefem.program import FreeFem
 from lacli.inference.runs import Outcome
 
@@ -53,6 +55,9 @@ def test_the_sequential_method_is_the_default_and_tells_before_what_can_be_learn
     assert found.result.map_x == pytest.approx(TRUTH, rel=0.1)
     assert simulator.calls == found.result.runs <= 60, "the forecast's runs are among them"
     assert (found.folder / "result.json").is_file()
+    # what was simulated stands beside the runs: a comparison makes more of them
+    kept = load_scene(found.folder / SIMULATED)
+    assert kept == asked(scene, OUTPUTS) and not (found.folder / SIMULATED_CHEAP).exists()
 
 
 @pytest.mark.parametrize(

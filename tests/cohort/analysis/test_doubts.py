@@ -48,11 +48,20 @@ def test_doubts_are_of_the_models_that_they_are_about() -> None:
     assert of_uniform.evidence == {"uniform"} and "uniform: The sampler did not converge." in of_uniform.words
 
 
-def test_a_sum_that_holds_what_is_not_to_be_trusted_claims_nothing() -> None:
+def test_who_is_not_to_be_trusted_is_left_out_of_the_sum_and_named() -> None:
     contrasts = {name: comparison()["contrasts"] for name in ("a", "b")}
     (row,) = over_contrasts(contrasts, {"b": Doubts((), frozenset({"global"}))})  # type: ignore[arg-type]
-    assert (row["log_evidence"], row["not_trusted"], row["prefer_model"]) == (16.0, "b", 1)
-    assert row["verdict"] == "no contrast can be claimed: the evidence of b is not to be relied on"
+    assert (row["patients"], row["log_evidence"], row["not_trusted"], row["prefer_model"]) == (1, 8.0, "b", 1)
+    assert row["verdict"] == f"{PREFERRED} (without b, whose evidence is not to be relied on)"
+    # with nobody left, or where those who are left do not tell, nothing is claimed
+    (row,) = over_contrasts(contrasts, {p: Doubts((), frozenset({"global"})) for p in "ab"})  # type: ignore[arg-type]
+    assert (row["patients"], row["log_evidence"]) == (0, 0.0)
+    assert row["verdict"] == "no contrast can be claimed (without a, b, whose evidence is not to be relied on)"
+    vague = {"a": [{**contrasts["a"][0], "difference": 2.0}], "b": [{**contrasts["b"][0], "difference": 90.0, "se": 6.1}]}  # type: ignore[index]
+    (row,) = over_contrasts(vague)
+    assert (row["log_evidence"], row["not_trusted"]) == (2.0, "b") and row["verdict"].startswith("no contrast can be claimed (")
+    (row,) = over_contrasts({**vague, "b": [{**vague["b"][0], "se": float("nan")}]})
+    assert row["not_trusted"] == "b"
     (row,) = over_contrasts(contrasts, {"b": Doubts((), frozenset({"pooled"}))})  # type: ignore[arg-type]
     assert (row["not_trusted"], row["verdict"]) == ("", PREFERRED)
 
@@ -102,7 +111,7 @@ def test_the_study_and_its_page_tell_what_a_patient_s_calibration_warned_of(tmp_
     models = next(section for section in page.sections if section.anchor == "models")
     row = next(row for row in models.tables[0].rows if row[0] == "global")
     assert row[-3:] == ("2", "0.9", "sub-1")
-    assert "worst_k" in models.tables[-1].columns and PREFERRED not in str(models.tables[1].rows)
+    assert "worst_k" in models.tables[-1].columns and "without sub-1, whose" in str(models.tables[1].rows)
 
 
 @pytest.mark.parametrize("name", STATE)

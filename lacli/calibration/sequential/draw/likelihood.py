@@ -25,7 +25,7 @@ from lacli.calibration.sequential.scale import Scale
 from lacli.contracts.targets import Targets
 from lacli.inference.sampling.likelihood import conditional
 
-_NOTHING = 1e-8  # of the targets' variance: errors of the correction in such a direction are left out
+_NOTHING = 1e-6  # of the targets' variance: errors of the correction in such a direction are left out
 _ENTRIES = 4_000_000  # of matrices between targets and directions that are in memory at a time
 
 

@@ -1,0 +1,135 @@
+"""Runs where a model of a comparison is likely and the calibration made none: its evidence against the exact one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from membranes import INPUTS, OUTPUTS, Membranes, box, respond
+from scipy.stats import multivariate_normal
+
+from lacli.calibration.sequential.outputs import Features, features_from
+from lacli.cohort.comparison import GLOBAL, REGIONAL, Model, compare, doubts, reduced, tied_regions
+from lacli.cohort.models.evidence import evidence
+from lacli.cohort.models.further import COMPARED, Doubt, Further, Kind, further, informed
+from lacli.contracts.targets import Targets
+from lacli.inference.runs import RunLog, runs_identity
+
+TRUTH = np.array([0.35, 2.4, 8.9])  # one stiffness for both is none of them
+TARGETS = Targets(OUTPUTS, respond(TRUTH)[0], np.full(len(OUTPUTS), 0.15))
+
+
+def of_membranes(folder: Path, simulator: Membranes, most: int = 16) -> Further:
+    """Runs about the truth alone, as a calibration leaves them."""
+    log = RunLog(folder / COMPARED, INPUTS, OUTPUTS, runs_identity(simulator, INPUTS, OUTPUTS))
+    x = TRUTH * np.exp(0.05 * np.random.default_rng(0).standard_normal((10, 3)))
+    log.run(simulator, x)
+    return Further(Kind(simulator, log, x), None, box(), TARGETS, most)
+
+
+def models(features: Features | Mapping[str, Features]) -> list[Model]:
+    learnt = features if isinstance(features, Mapping) else dict.fromkeys((REGIONAL, GLOBAL), features)
+    ties = {GLOBAL: tied_regions(INPUTS)}
+    return [Model(name, emulators, box(), ties.get(name, ())) for name, emulators in learnt.items()]
+
+
+def exact(model: Model) -> float:
+    """The log evidence by the membranes themselves."""
+    space, lift = reduced(model)
+    density = multivariate_normal(TARGETS.mean, np.diag(TARGETS.sd**2))
+    return evidence(lambda x: density.logpdf([respond(point)[0] for point in lift(x)]), space, 300).log_z
+
+
+def doubted(emulators: Mapping[str, Features]) -> dict[str, Doubt]:
+    return doubts(models(emulators), TARGETS, 150, 0)
+
+
+def learnt(runs: Further, heard: list[str] | None = None) -> Mapping[str, Features]:
+    first = dict.fromkeys((REGIONAL, GLOBAL), runs.features(OUTPUTS))
+    return informed(lambda: runs, first, doubted, 0, lambda stage, done, total: (heard or []).append(stage)).emulators
+
+
+def test_the_evidence_of_a_model_far_from_the_runs_becomes_that_of_the_simulator(tmp_path: Path) -> None:
+    simulator = Membranes()
+    runs = of_membranes(tmp_path, simulator)
+    before = compare(models(runs.features(OUTPUTS)), TARGETS, 200)
+    heard = ["-"]
+    features = learnt(runs, heard)
+    after = compare(models(features), TARGETS, 200)
+    assert 0 < runs.made <= 16 and simulator.calls == 10 + runs.made
+    assert f"runs where {GLOBAL} is likely" in heard
+    asked = [exact(model) for model in models(features)]
+    for fit, log_z in zip(after.fits, asked, strict=True):
+        assert fit.emulator_se < 0.5
+        assert fit.log_evidence == pytest.approx(log_z, abs=3 * math.hypot(fit.log_evidence_se, fit.emulator_se, 0.1))
+    # and it was needed: by the calibration's runs alone it was several nats off, and said so
+    assert abs(before.fits[1].log_evidence - asked[1]) > 3.0
+    assert before.fits[1].emulator_se > 1.0 > before.fits[0].emulator_se
+    assert before.contrasts[0].se > 1.0 > after.contrasts[0].se
+
+
+def test_called_again_it_makes_no_run_and_ends_the_same(tmp_path: Path) -> None:
+    first = Membranes()
+    features = learnt(of_membranes(tmp_path, first))
+    again = Membranes()
+    runs = of_membranes(tmp_path, again)
+    assert again.calls == 0
+    same = learnt(runs)
+    assert again.calls == 0 and runs.made == first.calls - 10
+    x = box().uniform(5, np.random.default_rng(1))
+    assert all((same[name].predict(x)[0] == features[name].predict(x)[0]).all() for name in (REGIONAL, GLOBAL))
+
+
+def test_no_more_runs_than_allowed_and_none_where_nothing_is_in_doubt(tmp_path: Path) -> None:
+    runs = of_membranes(tmp_path, Membranes(), most=3)
+    learnt(runs)
+    assert (runs.made, runs.left) == (3, 0)
+    none = of_membranes(tmp_path, Membranes())
+
+    def nothing(emulators: Mapping[str, Features]) -> dict[str, Doubt]:
+        return {GLOBAL: Doubt(0.1, 0.1, 0.0, False, np.empty((0, 3)))}
+
+    def never() -> Further:
+        raise AssertionError("nothing is in doubt")
+
+    found = informed(never, {GLOBAL: none.features(OUTPUTS)}, nothing, 0, lambda *_: None)
+    assert (found.runs, found.words) == (0, "")
+
+
+def test_failed_runs_are_gone_around(tmp_path: Path) -> None:
+    """Half of the box fails, the likely half of one stiffness among it: it ends, and what is not known stays said."""
+    simulator = Membranes(fail=lambda x: abs(x[0] - x[1]) < 0.3)
+    runs = of_membranes(tmp_path, simulator)
+    features = learnt(runs)
+    assert runs.left == 0
+    assert compare(models(features), TARGETS, 150).fits[1].emulator_se > 0.5
+
+
+def test_models_that_share_emulators_share_their_errors(tmp_path: Path) -> None:
+    """The same model twice: each hangs on the emulator, their difference does not."""
+    features = of_membranes(tmp_path, Membranes()).features(OUTPUTS)
+    one = models(features)[1]
+    found = compare([one, replace(one, name="again")], TARGETS, 200)
+    assert found.fits[0].emulator_se > 1.0
+    assert found.contrasts[0].se < 0.5 * found.fits[0].emulator_se
+    # in emulators of their own they err apart
+    own = replace(one, name="own", emulators=features_from(of_membranes(tmp_path, Membranes()).own.told, None, box(), TARGETS))
+    apart = compare([one, own], TARGETS, 200)
+    assert apart.contrasts[0].se > found.fits[0].emulator_se
+
+
+def test_without_its_scene_no_run_is_made_and_it_is_said(tmp_path: Path) -> None:
+    of_membranes(tmp_path, Membranes())
+    words = further(tmp_path, box(), TARGETS, 8, tmp_path / "runs")
+    assert isinstance(words, str) and "holds no simulated.toml: calibrate again" in words
+    told = informed(lambda: words, {GLOBAL: of_membranes(tmp_path, Membranes()).features(OUTPUTS)}, _doubted, 0, lambda *_: None)
+    assert told.words.startswith("the log evidence of global (± 2) hangs on the emulators, and no run is added: ")
+
+
+def _doubted(emulators: Mapping[str, Features]) -> dict[str, Doubt]:
+    del emulators
+    return {GLOBAL: Doubt(2.0, 2.0, 0.0, False, np.empty((0, 3))), REGIONAL: Doubt(0.1, 0.1, 0.0, False, np.empty((0, 3)))}
