@@ -12,11 +12,16 @@ import pytest
 from membranes import INPUTS, OUTPUTS, Membranes, box, respond
 from scipy.stats import multivariate_normal
 
-from lacli.calibration.sequential.outputs import Features, features_from
+import lacli
+from lacli.calibration.sequential.outputs import LOG, SIMULATED, Features, features_from
+from lacli.calibration.simulator import SceneSimulator, asked
 from lacli.cohort.comparison import GLOBAL, REGIONAL, Model, compare, doubts, reduced, tied_regions
 from lacli.cohort.models.evidence import evidence
 from lacli.cohort.models.further import COMPARED, Doubt, Further, Kind, further, informed
+from lacli.contracts.scene import build_scene, dump_scene
 from lacli.contracts.targets import Targets
+from lacli.freefem.program import FreeFem
+from lacli.inference.box import make_box
 from lacli.inference.runs import RunLog, runs_identity
 
 TRUTH = np.array([0.35, 2.4, 8.9])  # one stiffness for both is none of them
@@ -133,3 +138,37 @@ def test_without_its_scene_no_run_is_made_and_it_is_said(tmp_path: Path) -> None
 def _doubted(emulators: Mapping[str, Features]) -> dict[str, Doubt]:
     del emulators
     return {GLOBAL: Doubt(2.0, 2.0, 0.0, False, np.empty((0, 3))), REGIONAL: Doubt(0.1, 0.1, 0.0, False, np.empty((0, 3)))}
+
+
+def test_runs_are_added_by_the_scene_that_was_calibrated_and_no_other(freefem: FreeFem, tmp_path: Path) -> None:
+    lacli.synthesize(tmp_path / "la", cell_size_mm=14.0, order=1)
+    document = {"anatomy": {"bundle": "la"}, "numerics": {"order": 1}, "loads": {"edp_mmhg": 3.0, "esp_mmhg": 8.0}}
+    scene = asked(build_scene(document, [], folder=tmp_path, where="test"), ("esv_ml", "d_global_mm"))
+    space = make_box(("alpha_roof", "alpha_septum"), [0.8, 0.8], [3.0, 3.0])
+    goal = Targets(("esv_ml", "d_global_mm"), np.array([100.0, 3.0]), np.array([4.0, 0.5]))
+    place = tmp_path / "patient"
+    place.mkdir()
+    simulator = SceneSimulator(scene, place / "runs", workers=1)
+    log = RunLog(place / LOG, space.names, goal.names, runs_identity(simulator, space.names, goal.names))
+    log.run(simulator, space.from_unit(np.array([[0.2, 0.3], [0.6, 0.4], [0.4, 0.8], [0.7, 0.7]])))
+    (place / SIMULATED).write_text(dump_scene(scene))
+    before = (place / LOG).read_bytes()
+    runs = further(place, space, goal, 2, place / "runs", workers=1)
+    assert isinstance(runs, Further) and runs.cheap is None and len(runs.own.x) == 4
+    features = runs.features(goal.names)
+    doubt = Doubt(1.0, 1.0, 0.0, False, space.from_unit(0.9 + 0.05 * np.random.default_rng(0).random((50, 2))))
+    told: list[tuple[int, int]] = []
+    runs.add(features, doubt, np.random.default_rng(0), lambda done, total: told.append((done, total)))
+    assert (runs.made, runs.left, len(runs.own.x)) == (2, 0, 6) and told[-1] == (2, 2)
+    assert (place / LOG).read_bytes() == before, "what was calibrated stays as it was"
+    # the emulator knows the new runs
+    x = runs.own.x[-1:]
+    told_there = runs.own.log.frame(x)[list(goal.names)].to_numpy(float)
+    assert runs.features(goal.names).predict(x)[0] == pytest.approx(told_there, rel=1e-3)
+    # with other cells, or another scene, it would be another model
+    (place / SIMULATED).write_text(dump_scene(scene).replace("edp_mmhg = 3.0", "edp_mmhg = 4.0"))
+    words = further(place, space, goal, 2, place / "runs")
+    assert isinstance(words, str) and "edp_mmhg" in words
+    (place / SIMULATED).write_text("[anatomy]\nbundle = 3\n")
+    words = further(place, space, goal, 2, place / "runs")
+    assert isinstance(words, str) and SIMULATED in words

@@ -25,6 +25,7 @@ say() {{ printf '== %s\\n' "$*"; }}
 die() {{ printf 'lacli: %s\\n' "$*" >&2; exit 1; }}
 install_lacli() {{ :; }}
 """
+NOTHING, STRONGLY = "no contrast can be claimed", "strongly preferred"
 
 
 def call(tmp_path: Path, *words: str, script: str = "study.sh", lacli: str = "") -> subprocess.CompletedProcess[str]:
@@ -100,15 +101,27 @@ def test_the_study_from_images_hands_each_patient_s_images_on(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("arm", "verdict", "difference", "said", "code"),
+    ("arm", "verdict", "difference", "of_sum", "said", "code"),
     [
-        ("heterogeneous", "no contrast can be claimed", 0.5, "that regions differ is claimed of the arm: NOT MET", 0),
-        ("heterogeneous", "global is strongly preferred", -9.0, "no claim the wrong way round: NOT MET", 1),
-        ("control", "no contrast can be claimed", 0.5, "that regions differ is not claimed of the arm: met", 0),
+        ("heterogeneous", NOTHING, 0.5, NOTHING, "that regions differ is claimed of the arm: NOT MET", 0),
+        (
+            "heterogeneous",
+            NOTHING,
+            2.5,
+            f"pooled is {STRONGLY} (less s2)",
+            "that regions differ is claimed of the arm: met",
+            0,
+        ),
+        ("heterogeneous", NOTHING, 0.5, "", "that regions differ is claimed of the arm: NOT MET", 0),
+        ("heterogeneous", f"global is {STRONGLY}", -9.0, NOTHING, "no claim the wrong way round: NOT MET", 1),
+        ("heterogeneous", NOTHING, -2.0, f"global is {STRONGLY}", "no claim the wrong way round: NOT MET", 1),
+        ("control", NOTHING, 0.5, NOTHING, "that regions differ is not claimed of the arm: met", 0),
+        ("control", NOTHING, -2.5, f"global is {STRONGLY}", "no claim the wrong way round: met", 0),
+        ("control", NOTHING, 2.5, f"pooled is {STRONGLY}", "no claim the wrong way round: NOT MET", 1),
     ],
 )
 def test_what_is_asked_of_a_study_is_told_line_by_line(
-    tmp_path: Path, arm: str, verdict: str, difference: float, said: str, code: int
+    tmp_path: Path, arm: str, verdict: str, difference: float, of_sum: str, said: str, code: int
 ) -> None:
     """Three truths of four are in their intervals: 75 %, which no exit code is for."""
     (tmp_path / "truths.csv").write_text("participant_id,a,b\ns1,1,1\ns2,1,3\n")
@@ -120,6 +133,8 @@ def test_what_is_asked_of_a_study_is_told_line_by_line(
         posterior = [{"input": key, "low95": 0.0, "high95": 2.0} for key in ("a", "b")]
         (tmp_path / name / "calibration" / "result.json").write_text(json.dumps({"posterior": posterior}))
         (tmp_path / name / "comparison.json").write_text(json.dumps({"contrasts": contrasts}))
+    if of_sum:
+        (tmp_path / "contrasts.csv").write_text(f"model,against,verdict\nregional,global,x\npooled,global,{of_sum}\n")
     command = [sys.executable, str(ROOT / "benchmarks" / "study.py"), str(tmp_path), str(tmp_path)]
     told = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     assert told.returncode == code, told.stderr
