@@ -98,7 +98,7 @@ def compare(
                 further, folder, group[0].box, held_against(folder, wanted), max_runs, folder / RUNS, workers, scheduler
             )
             learnt.append(_informed(group, held, make, seed, stage))
-        models = [model for group, _ in learnt for model in group]
+        models = _alike([model for group, _ in learnt for model in group])
         stage.of("comparison", 0, 4 * len(models))
         found = comparison.compare(models, held, particles, seed, stage.step)
     more = [of for _, of in learnt if of is not None]
@@ -125,6 +125,15 @@ def _informed(
 
     found = informed(make, emulators, doubts, seed, stage.of)
     return [replace(model, emulators=found.emulators[model.name]) for model in models], found
+
+
+def _alike(models: Sequence[Model]) -> list[Model]:
+    """Models of the same targets: those that all of them foretell."""
+    told = [name for name in models[0].emulators.outputs if all(name in model.emulators.outputs for model in models)]
+    if not told:
+        raise UsageError("compare: of every target the models leave out, nothing is left.")
+    made = {id(model.emulators): model.emulators.select(told) for model in models}
+    return [replace(model, emulators=made[id(model.emulators)]) for model in models]
 
 
 def stats(

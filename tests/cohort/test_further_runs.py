@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from membranes import INPUTS, OUTPUTS, Membranes, box, respond
 from scipy.stats import multivariate_normal
 
 import lacli
-from lacli.calibration.sequential.outputs import LOG, SIMULATED, Features, features_from
+from lacli.calibration.sequential.outputs import LOG, SIMULATED, Features
 from lacli.calibration.simulator import SceneSimulator, asked
 from lacli.cohort.comparison import GLOBAL, REGIONAL, Model, compare, doubts, reduced, tied_regions
 from lacli.cohort.models.evidence import evidence
@@ -22,7 +23,7 @@ from lacli.contracts.scene import build_scene, dump_scene
 from lacli.contracts.targets import Targets
 from lacli.freefem.program import FreeFem
 from lacli.inference.box import make_box
-from lacli.inference.runs import RunLog, runs_identity
+from lacli.inference.runs import Outcome, RunLog, runs_identity
 
 TRUTH = np.array([0.35, 2.4, 8.9])  # one stiffness for both is none of them
 TARGETS = Targets(OUTPUTS, respond(TRUTH)[0], np.full(len(OUTPUTS), 0.15))
@@ -33,7 +34,7 @@ def of_membranes(folder: Path, simulator: Membranes, most: int = 16) -> Further:
     log = RunLog(folder / COMPARED, INPUTS, OUTPUTS, runs_identity(simulator, INPUTS, OUTPUTS))
     x = TRUTH * np.exp(0.05 * np.random.default_rng(0).standard_normal((10, 3)))
     log.run(simulator, x)
-    return Further(Kind(simulator, log, x), None, box(), TARGETS, most)
+    return Further(Kind(simulator, log, x, len(x)), None, box(), TARGETS, most)
 
 
 def models(features: Features | Mapping[str, Features]) -> list[Model]:
@@ -122,7 +123,7 @@ def test_models_that_share_emulators_share_their_errors(tmp_path: Path) -> None:
     assert found.fits[0].emulator_se > 1.0
     assert found.contrasts[0].se < 0.5 * found.fits[0].emulator_se
     # in emulators of their own they err apart
-    own = replace(one, name="own", emulators=features_from(of_membranes(tmp_path, Membranes()).own.told, None, box(), TARGETS))
+    own = replace(one, name="own", emulators=of_membranes(tmp_path, Membranes()).features(OUTPUTS))
     apart = compare([one, own], TARGETS, 200)
     assert apart.contrasts[0].se > found.fits[0].emulator_se
 
@@ -172,3 +173,54 @@ def test_runs_are_added_by_the_scene_that_was_calibrated_and_no_other(freefem: F
     (place / SIMULATED).write_text("[anatomy]\nbundle = 3\n")
     words = further(place, space, goal, 2, place / "runs")
     assert isinstance(words, str) and SIMULATED in words
+
+
+class Snapping(Membranes):
+    """Features of an early frame and of end-systole; the early frame jumps by many standard deviations where all is soft, to
+    one side or the other as the inputs' last digits say."""
+
+    def __call__(self, inputs: pd.DataFrame) -> Iterator[tuple[int, Outcome]]:
+        for index, outcome in super().__call__(inputs):
+            row = inputs[list(INPUTS)].to_numpy(float)[index]
+            jump = 4.0 * (math.sin(1e6 * row[0]) > 0) if abs(row[0] - row[1]) < 0.3 else 0.0
+            told = {
+                FRAMED[name]: value + (jump if FRAMED[name].endswith("@0.1") else 0.0) for name, value in outcome.outputs.items()
+            }
+            slopes = {(FRAMED[name], given): value for (name, given), value in outcome.gradients.items()}
+            yield index, replace(outcome, outputs=told, gradients=slopes)
+
+
+FRAMED = {name: f"n_roof_mm@0.{1 + j}" if j < 3 else f"f{j}" for j, name in enumerate(OUTPUTS)}
+
+
+def test_an_early_frame_that_jumps_is_left_out_for_all_models_with_a_word(tmp_path: Path) -> None:
+    names, simulator = tuple(FRAMED.values()), Snapping()
+    goal = Targets(names, respond(TRUTH)[0], np.full(len(names), 0.15))
+    log = RunLog(tmp_path / COMPARED, INPUTS, names, runs_identity(simulator, INPUTS, names))
+    x = TRUTH * np.exp(0.05 * np.random.default_rng(0).standard_normal((10, 3)))
+    log.run(simulator, x)
+    runs = Further(Kind(simulator, log, x, len(x)), None, box(), goal, 16)
+    first = runs.features(names)
+    found = informed(
+        lambda: runs, dict.fromkeys((REGIONAL, GLOBAL), first), lambda of: doubts(models(of), goal, 150, 0), 0, lambda *_: None
+    )  # fmt: skip
+    assert "targets of the frames at 0.1 are held against no model: where global is likely" in found.words
+    kept = tuple(name for name in names if not name.endswith("@0.1"))
+    assert all(features.outputs == kept for features in found.emulators.values())
+    # the regional one is learnt from the calibration's runs alone, the global one from all
+    of_regional, of_global = (len(found.emulators[name].training_inputs()) for name in (REGIONAL, GLOBAL))
+    assert of_regional == 10 and of_global > 20
+    told = compare(models(found.emulators), goal, 200)
+    assert max(fit.emulator_se for fit in told.fits) < 1.0 and told.contrasts[0].difference > 10.0
+
+
+def test_the_last_frame_stays(tmp_path: Path) -> None:
+    runs = of_membranes(tmp_path, Membranes())
+    assert runs.leave_out_a_frame() is None, "of targets without a time"
+    for names, left in (
+        (("d_roof_mm", "d_roof_mm@0.2", "d_roof_mm@0.1"), [0.1, 0.2, None]),
+        (("esv_ml@0.3", "d_roof_mm@0.3"), [None]),
+    ):
+        runs.targets = Targets(names, np.ones(len(names)), np.ones(len(names)))
+        assert [runs.leave_out_a_frame() for _ in left] == left
+        assert runs.targets.names

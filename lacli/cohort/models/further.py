@@ -3,7 +3,9 @@
 A calibration makes its runs where its own posterior is. Another model's may lie elsewhere (one stiffness for all regions, say,
 stiffer than any region's): what the emulators say there is extrapolation, and so is its evidence. So a few runs more are made
 with the calibration's own numerics at those draws of that model's posterior which tell most, until the emulator's error in its
-log evidence is small beside what decides. They are kept beside the calibration's, and change nothing of it.
+log evidence is small beside what decides. They are kept beside the calibration's, and change nothing of it. Where that does not
+come about, early frames are left out: soft walls have several states there, that runs at all but the same inputs may take, and no
+smooth emulator follows them; end-systole forgets which it was.
 """
 
 from __future__ import annotations
@@ -18,9 +20,10 @@ import numpy as np
 
 from lacli.base.arrays import FloatArray
 from lacli.base.errors import LacliError
+from lacli.calibration.sequential.branches import without
 from lacli.calibration.sequential.change import most_telling
 from lacli.calibration.sequential.outputs import CHEAP, LOG, SIMULATED, SIMULATED_CHEAP, Features, Told, features_from
-from lacli.calibration.simulator import SceneSimulator
+from lacli.calibration.simulator import SceneSimulator, times_of
 from lacli.contracts.identity import Identity, beside, conflict, read_identity
 from lacli.contracts.scene import load_scene
 from lacli.contracts.tables.table import STATUS
@@ -30,6 +33,7 @@ from lacli.inference.runs import RunLog, Simulator, obstacle, runs_identity
 
 COMPARED, COMPARED_CHEAP = "compared.csv", "compared_cheap.csv"
 ENOUGH = 0.5  # of a log evidence, a standard deviation: a sixth of what a strong preference is
+TOO_VAGUE = 3.0  # and one beyond which early frames are left out: as much as a strong preference
 MOST_RUNS = 16  # of a comparison and a calibration
 BATCH, PAIR = 4, 1  # runs at a time, and those of them that the scene's own numerics are run beside, where runs are cheap
 
@@ -61,16 +65,17 @@ class Informed:
 
 @dataclass
 class Kind:
-    """Runs of one kind: who makes them, the log that holds the calibration's and these, and the points (n, d) that count."""
+    """Runs of one kind: who makes them, the log that holds the calibration's and these, and the points (n, d) that count, the
+    first ``before`` of them the calibration's."""
 
     simulator: Simulator
     log: RunLog
     x: FloatArray
+    before: int
 
-    @property
-    def told(self) -> Told:
-        """What emulators learn from."""
-        return Told(self.log, self.x)
+    def told(self, further: bool) -> Told:
+        """What emulators learn from, with or without further runs."""
+        return Told(self.log, self.x if further else self.x[: self.before])
 
     def run(self, x: FloatArray, hear: Hear) -> None:
         """Have the points x (m, d) among them."""
@@ -94,10 +99,19 @@ class Further:
     made: int = 0
     own_made: int = 0
 
-    def features(self, outputs: Sequence[str]) -> Features:
-        """The emulator of all runs so far."""
-        cheap = None if self.cheap is None else self.cheap.told
-        return features_from(self.own.told, cheap, self.box, self.targets).select(outputs)
+    def features(self, outputs: Sequence[str], further: bool = True) -> Features:
+        """The emulator of all runs so far, or of the calibration's alone, of those outputs that are still targets."""
+        cheap = None if self.cheap is None else self.cheap.told(further)
+        made = features_from(self.own.told(further), cheap, self.box, self.targets)
+        return made.select([name for name in outputs if name in self.targets.names])
+
+    def leave_out_a_frame(self) -> float | None:
+        """Leave out the targets of the earliest frame; its time. None where there is but one left."""
+        times, names = times_of(self.targets.names), self.targets.names
+        if not times or all(times_of([name]) == times for name in names):
+            return None
+        self.targets = without(self.targets, times[:1])
+        return times[0]
 
     def add(self, features: Features, doubt: Doubt, rng: np.random.Generator, hear: Hear) -> None:
         """Runs at those of a model's draws that tell its emulator most."""
@@ -152,7 +166,8 @@ def _kind(
         return f"{scene}: {str(error).rstrip('.')}"
     if identity != made:
         return f"{table} {conflict(made, identity, 'runs').rstrip('.')}"
-    return Kind(simulator, *_joined(table, compared, box, targets, identity))
+    log, x = _joined(table, compared, box, targets, identity)
+    return Kind(simulator, log, x, len(x))
 
 
 def _joined(table: Path, compared: Path, box: Box, targets: Targets, identity: Identity) -> tuple[RunLog, FloatArray]:
@@ -177,7 +192,8 @@ def informed(
 
     make: what makes runs, or why none can be made; called where there is need. emulators: by model, and doubts of them. Models
     that are not in question keep theirs: runs that were made for another, where features may bend or jump otherwise, would count
-    in the error everywhere. hear: told what is being done, and of how many runs how many are.
+    in the error everywhere. Where one still hangs on it by more than ``TOO_VAGUE``, frames are left out for all, the earliest
+    first. hear: told what is being done, and of how many runs how many are.
     """
     learnt = dict(emulators)
     found = _in_question(doubts(learnt))
@@ -187,15 +203,30 @@ def informed(
     if isinstance(runs, str):
         whose = " and ".join(f"{name} (± {doubt.se:.2g})" for name, doubt in found.items())
         return Informed(learnt, words=f"the log evidence of {whose} hangs on the emulators, and no run is added: {runs}.")
+    asked = set(found)  # who had further runs
     for round_ in itertools.count(1):
-        if runs.left <= 0:
+        if not found or runs.left <= 0:
             break
         worst = max(found, key=lambda name: found[name].se)
         runs.add(learnt[worst], found[worst], np.random.default_rng([seed, 7, round_]), functools.partial(hear, _stage(worst)))
         learnt |= dict.fromkeys(found, runs.features(learnt[worst].outputs))
-        if not (found := _in_question(doubts({name: learnt[name] for name in found}))):
+        found = _in_question(doubts({name: learnt[name] for name in found}))
+    left_out: list[float] = []
+    while vague := {name: doubt for name, doubt in found.items() if doubt.se > TOO_VAGUE}:
+        if (time := runs.leave_out_a_frame()) is None:
             break
-    return Informed(learnt, runs.made, runs.own_made)
+        left_out.append(time)
+        outputs = next(iter(learnt.values())).outputs
+        both = {further: runs.features(outputs, further) for further in {name in asked for name in learnt}}
+        learnt = {name: both[name in asked] for name in learnt}
+        found = dict(doubts({name: learnt[name] for name in vague}))
+    words = ""
+    if left_out:
+        words = (
+            f"targets of the frames at {', '.join(f'{time:g}' for time in left_out)} are held against no model: where"
+            f" {' and '.join(sorted(asked))} is likely no emulator follows them (several states of a soft wall?)."
+        )
+    return Informed(learnt, runs.made, runs.own_made, words)
 
 
 def _in_question(doubts: Mapping[str, Doubt]) -> dict[str, Doubt]:
