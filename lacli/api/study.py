@@ -53,7 +53,7 @@ def compare(
     the sequential method) made no runs, so that the emulators' error counts in its evidence, up to ``max_runs`` (default: 16) are
     made there with the calibration's own numerics, and kept in its folder: for each of the calibrations, ``workers`` side by side
     here, or on the Dask ``scheduler``. particles: of the sampler, at least 100. Targets that one of the calibrations left out are
-    left out for all, with a word among the warnings.
+    left out for all, with a word among the warnings; so are early frames where even these runs do not tell an evidence.
     Evidences have no units, misfits are in mm. Raises InputError, UsageError, LacliError, StorageError, Cancelled.
     """
     from lacli.api.methods.sequential import RUNS
