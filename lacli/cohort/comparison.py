@@ -1,8 +1,8 @@
 """Models of one patient compared: each region its own stiffness, one for all, regions that vary about a common level, or any that
 are tied; and other anatomies.
 
-All models of one simulator share its emulators: a tied model is the same emulators on a smaller box. It costs no runs but where it
-is likely and none has been (see ``models.further``). Told are the evidence with a uniform prior on the box (of regions about a
+All models of one simulator share its emulators: a tied model is the same emulators on a smaller box. It costs no runs but where
+it is likely and none has been (see ``models.further``). Told are the evidence with a uniform prior on the box (of regions about a
 level: see ``models.pooling``) times the priors that the targets state, as the calibration had them, which to all models alike are
 what was seen of inputs beside the targets; PSIS-LOO over the targets (Vehtari et al. 2017; with correlated errors by the
 conditional densities of Buerkner et al. 2021) with its effective number of parameters; and the misfit of the displacements.
