@@ -224,3 +224,34 @@ def test_the_last_frame_stays(tmp_path: Path) -> None:
         runs.targets = Targets(names, np.ones(len(names)), np.ones(len(names)))
         assert [runs.leave_out_a_frame() for _ in left] == left
         assert runs.targets.names
+
+
+def test_frames_are_not_left_out_in_vain(tmp_path: Path) -> None:
+    """Where end-systole is as vague as the frames, all of them stay, and how vague it is is said."""
+    names = ("d_roof_mm@0.1", "d_septum_mm@0.1", "d_roof_mm", "d_septum_mm")
+    of = dict(zip(OUTPUTS, names, strict=False))
+
+    class Two(Membranes):
+        def __call__(self, inputs: pd.DataFrame) -> Iterator[tuple[int, Outcome]]:
+            for index, one in super().__call__(inputs):
+                slopes = {(of[name], given): value for (name, given), value in one.gradients.items() if name in of}
+                yield index, replace(one, outputs={of[k]: one.outputs[k] for k in of}, gradients=slopes)
+
+    log = RunLog(tmp_path / COMPARED, INPUTS, names, runs_identity(Two(), INPUTS, names))
+    x = TRUTH * np.exp(0.05 * np.random.default_rng(0).standard_normal((10, 3)))
+    log.run(Two(), x)
+    goal = Targets(names, np.ones(4), np.ones(4))
+    runs = Further(Kind(Two(), log, x, len(x)), None, box(), goal, 0)
+    first = dict.fromkeys((REGIONAL, GLOBAL), runs.features(names))
+    looked: list[int] = []
+
+    def vague(emulators: Mapping[str, Features]) -> dict[str, Doubt]:
+        looked.append(len(next(iter(emulators.values())).outputs))
+        return {name: Doubt(9.0 if name == GLOBAL else 0.1, 9.0, 0.0, False, x) for name in emulators}
+
+    assert informed(lambda: runs, first, vague, 0, lambda *_: None).words == "", "where no run was allowed nothing is left out"
+    runs.made, looked[:] = 4, []
+    found = informed(lambda: runs, first, vague, 0, lambda *_: None)
+    assert looked == [4, 2], "without the early frame it was tried"
+    assert found.emulators == first
+    assert found.words == "the log evidence of global to ± 9 alone is known: no emulator follows the runs there."

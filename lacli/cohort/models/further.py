@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -211,22 +211,40 @@ def informed(
         runs.add(learnt[worst], found[worst], np.random.default_rng([seed, 7, round_]), functools.partial(hear, _stage(worst)))
         learnt |= dict.fromkeys(found, runs.features(learnt[worst].outputs))
         found = _in_question(doubts({name: learnt[name] for name in found}))
+    if not runs.made:
+        return Informed(learnt)
+    fewer = _without_frames(runs, learnt, asked, {name: doubt for name, doubt in found.items() if doubt.se > TOO_VAGUE}, doubts)
+    return Informed(fewer.emulators, runs.made, runs.own_made, fewer.words)
+
+
+def _without_frames(
+    runs: Further,
+    learnt: Mapping[str, Features],
+    asked: Collection[str],
+    vague: Mapping[str, Doubt],
+    doubts: Callable[[Mapping[str, Features]], Mapping[str, Doubt]],
+) -> Informed:
+    """The emulators without as many early frames as no log evidence hangs on by more than ``TOO_VAGUE``; as they are, where none
+    does that.
+
+    asked: the models that had further runs, vague: those of them that hang on the emulator so.
+    """
     left_out: list[float] = []
-    while vague := {name: doubt for name, doubt in found.items() if doubt.se > TOO_VAGUE}:
+    made, still = dict(learnt), dict(vague)
+    while still:
         if (time := runs.leave_out_a_frame()) is None:
-            break
+            whose = " and ".join(f"{name} to ± {doubt.se:.2g}" for name, doubt in vague.items())
+            return Informed(learnt, words=f"the log evidence of {whose} alone is known: no emulator follows the runs there.")
         left_out.append(time)
         outputs = next(iter(learnt.values())).outputs
         both = {further: runs.features(outputs, further) for further in {name in asked for name in learnt}}
-        learnt = {name: both[name in asked] for name in learnt}
-        found = dict(doubts({name: learnt[name] for name in vague}))
-    words = ""
-    if left_out:
-        words = (
-            f"targets of the frames at {', '.join(f'{time:g}' for time in left_out)} are held against no model: where"
-            f" {' and '.join(sorted(asked))} is likely no emulator follows them (several states of a soft wall?)."
-        )
-    return Informed(learnt, runs.made, runs.own_made, words)
+        made = {name: both[name in asked] for name in learnt}
+        still = {name: doubt for name, doubt in doubts({n: made[n] for n in still}).items() if doubt.se > TOO_VAGUE}
+    words = (
+        f"targets of the frames at {', '.join(f'{time:g}' for time in left_out)} are held against no model: where"
+        f" {' and '.join(vague)} is likely no emulator follows them (several states of a soft wall?)."
+    )
+    return Informed(made, words=words if left_out else "")
 
 
 def _in_question(doubts: Mapping[str, Doubt]) -> dict[str, Doubt]:
