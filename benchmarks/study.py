@@ -89,12 +89,10 @@ def errors(cohort: Path, patients: list[str]) -> pd.DataFrame:
     return pd.DataFrame.from_dict(rows, orient="index")
 
 
-def word_of_arm(study: Path) -> str:
-    """What the study's own table says of pooled against global over all patients; of a single patient there is none."""
+def of_the_sum(study: Path) -> pd.DataFrame:
+    """What the study's own table says of each pair of models over all patients; of a single patient there is none."""
     file = study / CONTRASTS
-    rows = pd.read_csv(file).to_dict("records") if file.is_file() else []
-    words = [str(row["verdict"]) for row in rows if (row["model"], row["against"]) == (POOLED, GLOBAL)]
-    return words[0] if words else "no contrast can be claimed"
+    return pd.read_csv(file) if file.is_file() else pd.DataFrame(columns=["model", "against", "verdict"])
 
 
 def asked(coverage: float, se: float, no_wrong_claim: bool, wished: str, of_arm: bool) -> str:
@@ -138,10 +136,11 @@ def main() -> int:
     claimed = preferred["verdict"].str.startswith(POOLED)
     wrong = claimed[claimed != (arm == "heterogeneous")]
     print(f"claims: {len(claimed)} of {len(told)}, the wrong way round: {', '.join(map(str, wrong.index)) or 'none'}")
-    for what, of_se in (("pooled", "se"), ("regional", "se_regional")):
-        total, error = told[f"{what}_over_global"].sum(), float(np.sqrt((told[of_se] ** 2).sum()))
-        print(f"over the patients: log evidence of {what} less global {total:.1f} ± {error:.1f}")
-    of_arm = word_of_arm(choice.study)
+    contrasts = of_the_sum(choice.study)
+    if not contrasts.empty:
+        print(contrasts.to_string(index=False))
+    words = contrasts.loc[(contrasts["model"] == POOLED) & (contrasts["against"] == GLOBAL), "verdict"]
+    of_arm = str(words.iloc[0]) if len(words) else "no contrast can be claimed"
     print(f"the study's own word on {POOLED} against {GLOBAL}: {of_arm}")
     claimed_of_arm = next((model for model in (POOLED, GLOBAL) if of_arm.startswith(f"{model} is strongly preferred")), "none")
     right = (claimed_of_arm == POOLED) == (arm == "heterogeneous")

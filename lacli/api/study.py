@@ -130,8 +130,6 @@ def _informed(
 def _alike(models: Sequence[Model]) -> list[Model]:
     """Models of the same targets: those that all of them foretell."""
     told = [name for name in models[0].emulators.outputs if all(name in model.emulators.outputs for model in models)]
-    if not told:
-        raise UsageError("compare: of every target the models leave out, nothing is left.")
     made = {id(model.emulators): model.emulators.select(told) for model in models}
     return [replace(model, emulators=made[id(model.emulators)]) for model in models]
 

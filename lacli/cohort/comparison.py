@@ -156,14 +156,8 @@ def doubts(
         assert isinstance(model.emulators, Features), "others tell no joint errors"
         held = targets.select(model.emulators.outputs)
         likelihood = Decorrelated.of(model.emulators, held)
-        box, lift = reduced(replace(model, box=narrowed(model.box, held)))
-        found = evidence(
-            lambda x, model=model, held=held, likelihood=likelihood, lift=lift: (  # type: ignore[misc]
-                likelihood(lift(x)) + log_prior(held.priors, model.box.names, lift(x))
-            ),
-            box, particles, repeats=2, seed=seed, tick=tick,
-        )  # fmt: skip
-        points = lift(found.draws)
+        box, lift, posterior = _posterior(model, held, likelihood)
+        points = lift(evidence(posterior, box, particles, repeats=2, seed=seed, tick=tick).draws)
         rng = np.random.default_rng([seed, 5])
         se, of_runs, of_correction = (
             float(_changes(likelihood.worlds(_some(points), part), [len(_some(points))], rng).std())
@@ -233,20 +227,15 @@ def _fit(
     model: Model, targets: Targets, particles: int, seed: int, tick: Callable[[], None]
 ) -> tuple[Fit, list[str], FloatArray]:
     """The fit, what is to be said of it, and draws (m, d) of the model's posterior."""
-    box, lift = reduced(replace(model, box=narrowed(model.box, targets)))
-
     likelihood = _likelihood(model.emulators, targets)
-
-    def told(full: FloatArray) -> FloatArray:
-        return likelihood(full) + log_prior(targets.priors, model.box.names, full)
-
-    found = evidence(lambda x: told(lift(x)), box, particles, seed=seed, tick=tick)
+    box, lift, posterior = _posterior(model, targets, likelihood)
+    found = evidence(posterior, box, particles, seed=seed, tick=tick)
     points = lift(found.draws)
     mean, _ = model.emulators.predict_truth(points)
     elpd, elpd_se, p_loo, worst = _loo(likelihood.pointwise(points))
     in_mm = np.array([name.partition("@")[0].endswith("_mm") for name in targets.names])
     rmse = np.sqrt(((mean - targets.mean)[:, in_mm] ** 2).mean(axis=1)) if in_mm.any() else np.full(len(mean), np.nan)
-    best = int(np.argmax(told(points)))
+    best = int(np.argmax(posterior(found.draws)))
     said = []
     if words := _extrapolated(model, points):
         said.append(f"{model.name}: {words}")
@@ -259,6 +248,19 @@ def _fit(
         float(rmse[best]), float(rmse.mean()), float(rmse.std(ddof=1)),
     )  # fmt: skip
     return fit, said, points
+
+
+def _posterior(
+    model: Model, targets: Targets, likelihood: Likelihood
+) -> tuple[Box, Callable[[FloatArray], FloatArray], Callable[[FloatArray], FloatArray]]:
+    """The box of the model's free inputs, the map of its points to those of the full box, and of L times priors the logarithm."""
+    box, lift = reduced(replace(model, box=narrowed(model.box, targets)))
+
+    def posterior(x: FloatArray) -> FloatArray:
+        full = lift(x)
+        return np.asarray(likelihood(full) + log_prior(targets.priors, model.box.names, full))
+
+    return box, lift, posterior
 
 
 def _extrapolated(model: Model, points: FloatArray) -> str:

@@ -132,11 +132,11 @@ def test_without_its_scene_no_run_is_made_and_it_is_said(tmp_path: Path) -> None
     of_membranes(tmp_path, Membranes())
     words = further(tmp_path, box(), TARGETS, 8, tmp_path / "runs")
     assert isinstance(words, str) and "holds no simulated.toml: calibrate again" in words
-    told = informed(lambda: words, {GLOBAL: of_membranes(tmp_path, Membranes()).features(OUTPUTS)}, _doubted, 0, lambda *_: None)
+    told = informed(lambda: words, {GLOBAL: of_membranes(tmp_path, Membranes()).features(OUTPUTS)}, in_doubt, 0, lambda *_: None)
     assert told.words.startswith("the log evidence of global (± 2) hangs on the emulators, and no run is added: ")
 
 
-def _doubted(emulators: Mapping[str, Features]) -> dict[str, Doubt]:
+def in_doubt(emulators: Mapping[str, Features]) -> dict[str, Doubt]:
     del emulators
     return {GLOBAL: Doubt(2.0, 2.0, 0.0, False, np.empty((0, 3))), REGIONAL: Doubt(0.1, 0.1, 0.0, False, np.empty((0, 3)))}
 

@@ -15,7 +15,7 @@ from lacli.cli.inference.sought import carriers, seek_and_show, show_forecast, s
 from lacli.cli.terminal.console import err, out, print_json, print_table
 from lacli.cli.terminal.modes import refuse
 from lacli.cli.terminal.scenes import read_scene
-from lacli.cli.terminal.tables import BoxFile, Fresh, Json, Retry, Seed, Warm
+from lacli.cli.terminal.tables import BoxFile, Fresh, Json, Retry, Scheduler, Seed, Warm, Workers
 
 if TYPE_CHECKING:
     from lacli.api.methods.calibrated import Calibrated, Recovered
@@ -61,8 +61,8 @@ def command(
     prior: Annotated[
         str | None, typer.Option(help="published: nroy (default): what history matching leaves; box: the whole box.")
     ] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Simulations side by side.")] = None,
-    scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler.")] = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
     ess: Annotated[float, typer.Option(min=1, help="Effective samples of every input; fewer are sooner there.")] = 5000,
     sensitivities: Annotated[
         bool, typer.Option("--sensitivities/--no-sensitivities", help="Runs tell their derivatives, where the scene can.")

@@ -11,7 +11,7 @@ from lacli.base.errors import UsageError
 from lacli.cli.terminal.console import err, out, print_json, print_table, stages
 from lacli.cli.terminal.modes import refuse
 from lacli.cli.terminal.scenes import read_scene
-from lacli.cli.terminal.tables import BoxFile, Fresh, Json, Retry, Seed, Warm
+from lacli.cli.terminal.tables import BoxFile, Fresh, Json, Retry, Scheduler, Seed, Warm, Workers
 
 
 def command(
@@ -28,8 +28,8 @@ def command(
         Path | None, typer.Option("--runs", help="Table of earlier runs with a status column: learn where runs fail.")
     ] = None,
     run: Annotated[bool, typer.Option("--run", help="Run the scene at the points.")] = False,
-    workers: Annotated[int | None, typer.Option(min=1, help="Simulations side by side.")] = None,
-    scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler.")] = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
     root: Annotated[Path, typer.Option("--store", help="Folder of the simulations.")] = Path("runs"),
     table: Annotated[Path, typer.Option("--out", help="The table written (.csv or .parquet).")] = Path("design.csv"),
     sensitivities: Annotated[

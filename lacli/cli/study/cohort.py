@@ -117,9 +117,7 @@ def _cost_words(cost: dict[str, Any]) -> str:
         return "No simulations to make."
     own = cost["reference_runs_each"]
     beside = f" and {own} of the scene's own that correct them" if own else ""
-    todo = [f"{cost['calibrations']} calibrations to do, of at most {cost['runs_each']} runs each{beside}"] * bool(
-        cost["calibrations"]
-    )
+    todo = [f"{count} calibrations to do, of at most {cost['runs_each']} runs each{beside}"] * bool(count)
     todo += [f"{compared} whose models are to be compared, with at most {further} runs more each"] * bool(compared * further)
     runs = ", ".join(todo)
     each, of_own = cost["cpu_s_per_run"], cost["cpu_s_per_reference_run"]

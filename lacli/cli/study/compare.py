@@ -12,7 +12,7 @@ import typer
 from lacli.api import study
 from lacli.base.errors import UsageError
 from lacli.cli.terminal.console import out, print_json, print_table, stages
-from lacli.cli.terminal.tables import Json, Seed, warn
+from lacli.cli.terminal.tables import Json, Scheduler, Seed, Workers, warn
 
 FILE = "comparison.json"
 
@@ -33,10 +33,8 @@ def command(
         int | None,
         typer.Option(min=0, help="Runs at most, for each calibration, where a model is likely and it made none (default: 16)."),
     ] = None,
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="Simulations side by side (default: as cores and memory allow).")
-    ] = None,
-    scheduler: Annotated[str | None, typer.Option(help="Dask scheduler (tcp://...) whose workers share the folder.")] = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
     file: Annotated[
         Path | None, typer.Option("--out", help="The comparison as JSON (default: comparison.json in the patient's folder).")
     ] = None,

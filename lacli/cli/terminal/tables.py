@@ -39,6 +39,8 @@ Warm = Annotated[
         "unloading by prestrain, no rest_sweeps); else they start cold, and a note says so.",
     ),
 ]
+Workers = Annotated[int | None, typer.Option("--workers", min=1, help="Simulations side by side.")]
+Scheduler = Annotated[str | None, typer.Option("--scheduler", help="Address of a Dask scheduler.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of all random numbers.")]
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")]
 

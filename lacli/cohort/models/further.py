@@ -22,6 +22,7 @@ from lacli.base.arrays import FloatArray
 from lacli.base.errors import LacliError
 from lacli.calibration.sequential.branches import without
 from lacli.calibration.sequential.change import most_telling
+from lacli.calibration.sequential.fidelity.bridge import PAIR
 from lacli.calibration.sequential.outputs import CHEAP, LOG, SIMULATED, SIMULATED_CHEAP, Features, Told, features_from
 from lacli.calibration.simulator import SceneSimulator, times_of
 from lacli.contracts.identity import Identity, beside, conflict, read_identity
@@ -35,7 +36,7 @@ COMPARED, COMPARED_CHEAP = "compared.csv", "compared_cheap.csv"
 ENOUGH = 0.5  # of a log evidence, a standard deviation: a sixth of what a strong preference is
 TOO_VAGUE = 3.0  # and one beyond which early frames are left out: as much as a strong preference
 MOST_RUNS = 16  # of a comparison and a calibration
-BATCH, PAIR = 4, 1  # runs at a time, and those of them that the scene's own numerics are run beside, where runs are cheap
+BATCH = 4  # runs at a time; where they are cheap, the scene's own numerics are run at one of them, or at a pair
 
 Hear = Callable[[int, int], None]
 
@@ -116,7 +117,7 @@ class Further:
     def add(self, features: Features, doubt: Doubt, rng: np.random.Generator, hear: Hear) -> None:
         """Runs at those of a model's draws that tell its emulator most."""
         z, count = features.scale.to_z(doubt.draws), min(BATCH, self.left)
-        wanted = 2 * PAIR if doubt.of_correction > doubt.of_runs else PAIR
+        wanted = PAIR if doubt.of_correction > doubt.of_runs else 1
         pairs = 0 if self.cheap is None else min(count, wanted)
         chosen = most_telling(features.components, z, pairs, rng, "correction") if pairs else np.empty((0, z.shape[1]))
         if count > pairs:
